@@ -255,6 +255,14 @@ def test_parameters_of_other_nodes_under_all_nodes_are_ignored(folder: Path) -> 
         load_settings(MonitorSettings, path, "monitor")
 
 
+def test_former_name_of_the_body_mass_is_refused(folder: Path) -> None:
+    path = folder / "former.yaml"
+    path.write_text("monitor:\n  ros__parameters: {obstacle_mass: 2.0}\n", encoding="utf-8")
+    with pytest.raises(SettingsError, match=r"obstacle_mass: unknown: must be robot,.*, body_mass,") as error:
+        load_settings(MonitorSettings, path, "monitor")
+    one_line(error.value, path)
+
+
 def test_list_may_be_empty_and_a_number_may_have_an_exponent(folder: Path) -> None:
     path = folder / "types.yaml"
     path.write_text("/**:\n  ros__parameters: {body_regions: [], timeout: 1e-1}\n", encoding="utf-8")

@@ -59,14 +59,14 @@ def compare_models(
                 lumped, full = (n @ np.array([contact.mobilities[m] for m in models]) @ n / (n @ n)).tolist()
                 if min(lumped, full) > 0.0:
                     values.append((lumped, full))
-    inverse_obstacle_masses = {"mass": 0.0}
-    inverse_obstacle_masses |= {f"reduced mass, {region}": 1.0 / BODY_REGIONS[region].mass_kg for region in REGIONS}
+    inverse_body_masses = {"mass": 0.0}
+    inverse_body_masses |= {f"reduced mass, {region}": 1.0 / BODY_REGIONS[region].mass_kg for region in REGIONS}
     comparisons = []
     for point, values in zip(dynamics.contact_points, along, strict=True):
         if not values:
             continue
-        for quantity, inverse_obstacle_mass in inverse_obstacle_masses.items():
-            lumped, full = np.array(values).T + inverse_obstacle_mass
+        for quantity, inverse_body_mass in inverse_body_masses.items():
+            lumped, full = np.array(values).T + inverse_body_mass
             error = full / lumped - 1.0
             p5, p50, p95 = np.percentile(error, (5.0, 50.0, 95.0)).tolist()
             worst = float(error[np.argmax(np.abs(error))])

@@ -163,7 +163,7 @@ def _values(test: ContactTest, instrument: Instrument) -> dict[str, float | bool
         for contact in (ContactType.TRANSIENT, ContactType.QUASI_STATIC)
     )
     if point.contact is ContactType.QUASI_STATIC:  # a clamped body part cannot move
-        transient = replace(transient, obstacle_mass_kg=held.obstacle_mass_kg)
+        transient = replace(transient, body_mass_kg=held.body_mass_kg)
     pressures = [item.peak_pressure_n_cm2 for item in repetitions if item.peak_pressure_n_cm2 is not None]
     pressure_limit = held if point.contact is ContactType.QUASI_STATIC else transient
     # A force is judged without the contact area only if every contact has a pressure that is judged by the same limit.

@@ -60,7 +60,7 @@ class Plan:
             self.at_rest += contact.verdict is not Verdict.UNKNOWN
             return
         for limit, worst in self._worst.items():
-            mu = reduced_mass(contact.effective_mass, limit.obstacle_mass_kg)
+            mu = reduced_mass(contact.effective_mass, limit.body_mass_kg)
             ratio = peak_force(contact.speed, mu, limit.stiffness_n_m) / limit.permissible_force_n
             if len(worst) == self._count and ratio <= worst[-1].ratio:
                 continue
@@ -90,7 +90,7 @@ class Plan:
         contact, speed = candidate.contact, candidate.contact.speed
         if candidate.at_limit:
             speed = speed_limit_of_mass((limit,), contact.effective_mass).allowable_speed
-        mu = reduced_mass(contact.effective_mass, limit.obstacle_mass_kg)
+        mu = reduced_mass(contact.effective_mass, limit.body_mass_kg)
         force = peak_force(speed, mu, limit.stiffness_n_m)
         note = f"predicted: {force:.0f} N of {limit.permissible_force_n:.0f} N, mu {mu:.2f} kg"
         return ContactTest(

@@ -111,6 +111,6 @@ def _print_speeds(masses: list[float], limits: tuple[Limit, ...], settings: Moni
         rows.append(("lowest", *speeds, ""))
     headings = ("region", *(f"{mass:g} kg" for mass in masses), "limits")
     print_table("Allowable speed [mm/s] and the limit that sets it", headings, rows)
-    person = "clamped body part" if math.isinf(limits[0].obstacle_mass_kg) else "body part free to recoil"
+    person = "clamped body part" if math.isinf(limits[0].body_mass_kg) else "body part free to recoil"
     area = f"contact area {limits[0].contact_area_cm2:g} cm²"
     printer().print(f"{limits[0].contact.value} contact, {person}; {area}; drives {settings.drives.value}")

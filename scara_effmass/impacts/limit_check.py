@@ -39,7 +39,7 @@ def region_force(
         return NO_REGION
     forces = []
     for limit in limits:
-        force = peak * math.sqrt(reduced_mass(robot_mass, limit.obstacle_mass_kg) * limit.stiffness_n_m / device)
+        force = peak * math.sqrt(reduced_mass(robot_mass, limit.body_mass_kg) * limit.stiffness_n_m / device)
         forces.append(RegionForce(limit.region, force, limit.permissible_force_n, limit.criterion))
     return max(forces, key=lambda region: region.force / region.limit, default=NO_REGION)
 

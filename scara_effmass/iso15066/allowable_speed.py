@@ -71,7 +71,7 @@ class ContactCase:
     @property
     def obstacle_mobility(self) -> float:
         """1/m_H [1/kg], 0 for a clamped body part."""
-        return 1.0 / self.limit.obstacle_mass_kg
+        return 1.0 / self.limit.body_mass_kg
 
     def lines_for(self, mobility: float) -> tuple[Line, ...]:
         """Return the lines for a robot of this mobility [1/kg]; one too light to be simulated counts as immovable."""
@@ -106,10 +106,10 @@ def contact_cases(limits: Iterable[Limit], settings: MonitorSettings | None = No
     if not limits:
         raise LimitError("body_regions: must hold at least one region with a limit")
     stiffness = tuple(limit.stiffness_n_m * (1.0 + settings.stiffness_uncertainty) for limit in limits)
-    masses = tuple(limit.obstacle_mass_kg for limit in limits)
+    masses = tuple(limit.body_mass_kg for limit in limits)
     is_free = settings.drives is Drives.FREE
     cases = [
-        ContactCase(limit, k, lines, None if is_free else contact_time(limit.obstacle_mass_kg, k))
+        ContactCase(limit, k, lines, None if is_free else contact_time(limit.body_mass_kg, k))
         for limit, k, lines in zip(
             limits, stiffness, contact_lines(settings.drives, settings.servo, stiffness, masses), strict=True
         )

@@ -22,14 +22,14 @@ def robot_mass(moving_mass: float, payload_mass: float) -> float:
     return moving_mass / 2.0 + payload_mass
 
 
-def reduced_mass(effective_mass: Quantity, obstacle_mass: float) -> Quantity:
+def reduced_mass(effective_mass: Quantity, other_mass: float) -> Quantity:
     """Return mu = 1 / (1/m_R + 1/m_H) [kg] (Eq. 16) of two positive masses [kg], either of which may be infinite.
 
-    A clamped body part has an infinite `obstacle_mass`: mu is then `effective_mass`.
+    A clamped body part has an infinite `other_mass`: mu is then `effective_mass`.
     """
-    if math.isinf(obstacle_mass):
+    if math.isinf(other_mass):
         return effective_mass
-    return 1.0 / (1.0 / effective_mass + 1.0 / obstacle_mass)
+    return 1.0 / (1.0 / effective_mass + 1.0 / other_mass)
 
 
 def peak_force(speed: Quantity | float, reduced_mass: Quantity, stiffness: float) -> Quantity:

@@ -31,7 +31,7 @@ Line = tuple[float, float]
 
 @lru_cache(maxsize=64)
 def contact_lines(
-    drives: Drives, servo: ServoSettings, stiffness: tuple[float, ...], obstacle_mass: tuple[float, ...]
+    drives: Drives, servo: ServoSettings, stiffness: tuple[float, ...], body_mass: tuple[float, ...]
 ) -> list[tuple[Line, ...]]:
     """Return lower bounds of 1/mu for each contact stiffness k [N/m] and mass m_H [kg]; the largest one applies.
 
@@ -39,13 +39,11 @@ def contact_lines(
     the lower convex hull of 1/mu over 1/m_n, which `servo_reduced_masses` simulates. A servo against a clamped body
     part (infinite m_H) pushes without bound, like an immovable robot.
     """
-    alphas = [1.0 / mass for mass in obstacle_mass]
+    alphas = [1.0 / mass for mass in body_mass]
     if drives is not Drives.SERVO or not any(alphas):
         beta = 1.0 if drives is Drives.FREE else 0.0
         return [((alpha, beta),) for alpha in alphas]
-    masses = servo_reduced_masses(
-        _MOBILITIES, np.array(stiffness), np.array(obstacle_mass), servo.bandwidth, servo.damping
-    )
+    masses = servo_reduced_masses(_MOBILITIES, np.array(stiffness), np.array(body_mass), servo.bandwidth, servo.damping)
     # A lighter robot must not count as hitting harder.
     masses = np.maximum.accumulate(masses[:, ::-1] * _MARGIN, axis=1)[:, ::-1]
     return [_lower_hull(np.maximum(1.0 / mu, alpha), alpha) for mu, alpha in zip(masses, alphas, strict=True)]
@@ -68,9 +66,9 @@ def _lower_hull(inverse: FloatArray, alpha: float) -> tuple[Line, ...]:
 
 
 def servo_reduced_masses(
-    mobility: FloatArray, stiffness: FloatArray, obstacle_mass: FloatArray, bandwidth_hz: float, damping: float
+    mobility: FloatArray, stiffness: FloatArray, body_mass: FloatArray, bandwidth_hz: float, damping: float
 ) -> FloatArray:
-    """Return mu (m, n) [kg] of m contacts (`stiffness` [N/m], `obstacle_mass` [kg]) at n mobilities 1/m_n [1/kg].
+    """Return mu (m, n) [kg] of m contacts (`stiffness` [N/m], `body_mass` [kg]) at n mobilities 1/m_n [1/kg].
 
     Simulates `TRANSIENT_S` in exact steps (matrix exponential); the contact may open and close. The state is the
     compression, its rate, the servo error and its rate, at unit speed.
@@ -78,7 +76,7 @@ def servo_reduced_masses(
     from scipy.linalg import expm  # noqa: PLC0415 - slow, and not needed for free drives
 
     shape = (len(stiffness), len(mobility))
-    k, alpha = (np.repeat(values, shape[1]) for values in (stiffness, 1.0 / obstacle_mass))
+    k, alpha = (np.repeat(values, shape[1]) for values in (stiffness, 1.0 / body_mass))
     a, servo = np.tile(mobility, shape[0]), 2.0 * math.pi * bandwidth_hz
     dt = _STEP / np.maximum(np.sqrt(k * (a + alpha)), servo)
     contact, free = (

@@ -27,7 +27,7 @@ class Limit:
     """Limits of one body region in one type of contact.
 
     `force_points` and `pressure_points` are the strictest rows of Table A.2 for the region, which set the limit;
-    empty if a stricter limit from the settings replaces them. `obstacle_mass_kg` is infinite for a clamped body
+    empty if a stricter limit from the settings replaces them. `body_mass_kg` is infinite for a clamped body
     part. Pressure and area are in the units of Table A.2. `energy_j` is the standard's value, for information only.
     """
 
@@ -39,7 +39,7 @@ class Limit:
     pressure_points: tuple[BodyPoint, ...]
     contact_area_cm2: float
     stiffness_n_m: float
-    obstacle_mass_kg: float
+    body_mass_kg: float
     energy_j: float
 
     @property
@@ -116,7 +116,7 @@ def _standard_limit(region: BodyRegion, contact: ContactType, area_cm2: float) -
         pressure_points=pressure_points,
         contact_area_cm2=area_cm2,
         stiffness_n_m=region.stiffness_n_m,
-        obstacle_mass_kg=math.inf if clamped else region.mass_kg,
+        body_mass_kg=math.inf if clamped else region.mass_kg,
         energy_j=region.energy_j,
     )
 
@@ -148,12 +148,12 @@ def _check_not_looser(settings: MonitorSettings, limits: tuple[Limit, ...]) -> N
             f"stiffness_n_m = {settings.stiffness_n_m:g} N/m: must be at least the standard's "
             f"{stiffness.stiffness_n_m:g} N/m for {stiffness.region} (Table A.3), or 0 for it"
         )
-    mass = min(limits, key=lambda limit: limit.obstacle_mass_kg)
-    if 0.0 < settings.obstacle_mass < mass.obstacle_mass_kg:
-        rule = f"at least the standard's {mass.obstacle_mass_kg:g} kg for {mass.region} (Table A.3), or 0 for it"
-        if math.isinf(mass.obstacle_mass_kg):
+    mass = min(limits, key=lambda limit: limit.body_mass_kg)
+    if 0.0 < settings.body_mass < mass.body_mass_kg:
+        rule = f"at least the standard's {mass.body_mass_kg:g} kg for {mass.region} (Table A.3), or 0 for it"
+        if math.isinf(mass.body_mass_kg):
             rule = f"0: a clamped body part is infinitely heavy (contact = {mass.contact.value})"
-        raise LimitError(f"obstacle_mass = {settings.obstacle_mass:g} kg: must be {rule}")
+        raise LimitError(f"body_mass = {settings.body_mass:g} kg: must be {rule}")
 
 
 def _tightened(limit: Limit, settings: MonitorSettings) -> Limit:
@@ -166,7 +166,7 @@ def _tightened(limit: Limit, settings: MonitorSettings) -> Limit:
         pressure_n_cm2=min(limit.pressure_n_cm2, max_pressure),
         pressure_points=() if max_pressure < limit.pressure_n_cm2 else limit.pressure_points,
         stiffness_n_m=max(limit.stiffness_n_m, settings.stiffness_n_m),
-        obstacle_mass_kg=max(limit.obstacle_mass_kg, settings.obstacle_mass),
+        body_mass_kg=max(limit.body_mass_kg, settings.body_mass),
     )
 
 

@@ -131,7 +131,7 @@ def _case(case: ContactCase, region: int) -> Case:
         obstacle_mobility=case.obstacle_mobility,
         drive_time=case.drive_time or 0.0,
         nominal_stiffness=case.limit.stiffness_n_m,
-        body_mass=case.limit.obstacle_mass_kg,
+        body_mass=case.limit.body_mass_kg,
         line_count=len(case.lines),
         lines=np.array(case.lines),
     )

@@ -310,7 +310,7 @@ class ContactAssessor:
                 decides = model if min(model.mass, cap) > decides.mass else decides
         mass = decides.mass
         found = self._max_speed(worst_mass)
-        limit, m_h = found.limit, found.limit.obstacle_mass_kg
+        limit, m_h = found.limit, found.limit.body_mass_kg
         mu = min(reduced_mass(mass, m_h), cap)  # Eq. 16
         closing_speed = settings.person_speed + settings.speed_uncertainty + self.speed_tolerance
         nominal_speed = (found.allowable_speed - closing_speed) / self._share  # below 0 if the person is too fast

@@ -213,7 +213,7 @@ class MonitorSettings(FrozenSettings):
     contact_area_m2: float = tunable(1e-4, "contact area for the pressure limit [m2]", gt=0.0, le=0.1)
     max_force: float = tunable(0.0, "own force limit, not above the standard's [N]; 0: none", ge=0.0)
     max_pressure_pa: float = tunable(0.0, "own pressure limit, not above the standard's [Pa]; 0: none", ge=0.0, le=1e8)
-    obstacle_mass: float = tunable(
+    body_mass: float = tunable(
         0.0, "mass of the body part, not below the standard's [kg]; 0: the standard's", ge=0.0, le=1000.0
     )
     stiffness_n_m: float = tunable(

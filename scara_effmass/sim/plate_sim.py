@@ -105,11 +105,11 @@ class PlateSim:
         mujoco.mj_forward(self.model, self.data)
         return np.array(self.data.qfrc_bias)
 
-    def worst_normal(self, q: FloatArray, qd: FloatArray, obstacle_mass: float, point: int = 0) -> FloatArray:
+    def worst_normal(self, q: FloatArray, qd: FloatArray, body_mass: float, point: int = 0) -> FloatArray:
         """Return the unit normal (3,) along (A + I / m_H)^-1 v, where free joints give the largest force."""
         jacobian, mass_matrix = self.kinematics(q, point)
         mobility = jacobian @ np.linalg.solve(mass_matrix, jacobian.T)
-        normal = np.linalg.solve(mobility + np.eye(3) / obstacle_mass, jacobian @ qd)
+        normal = np.linalg.solve(mobility + np.eye(3) / body_mass, jacobian @ qd)
         return np.asarray(normal / np.linalg.norm(normal))
 
     def touch(
@@ -134,7 +134,7 @@ class PlateSim:
         mujoco.mj_resetData(model, data)
         jacobian, mass_matrix = self.kinematics(q, point)
         row = normal @ jacobian
-        rate = math.sqrt(k * (row @ np.linalg.solve(mass_matrix, row) + 1.0 / limit.obstacle_mass_kg))
+        rate = math.sqrt(k * (row @ np.linalg.solve(mass_matrix, row) + 1.0 / limit.body_mass_kg))
         coarse, duration = 0.0, 4.0 / rate
         model.opt.gravity[2] = 0.0
         velocity, effort = qd * pace, self._robot.effort_limits * pace
@@ -172,7 +172,7 @@ class PlateSim:
             closing_speed = max(depth - last_depth, 0.0) / step if step else 0.0
             last_step, step = step, fine if depth >= -2.0 * closing_speed * coarse else max(fine, coarse)
             half += 0.5 * (last_step + step) * acceleration
-            plate_half += 0.5 * (last_step + step) * force / limit.obstacle_mass_kg
+            plate_half += 0.5 * (last_step + step) * force / limit.body_mass_kg
             data.qpos += step * half
             plate += step * plate_half
             time += step

@@ -69,7 +69,7 @@ def contacts(
     for _ in range(count):
         q, qd = draw(arm, rng, checked)
         velocity = arm.sim.kinematics(q)[0] @ qd
-        normal = arm.sim.worst_normal(q, qd, limit.obstacle_mass_kg)
+        normal = arm.sim.worst_normal(q, qd, limit.body_mass_kg)
         if plate != "worst":
             normal = velocity if plate == "velocity" else rng.normal(size=3)
             normal *= np.sign(normal @ velocity) / np.linalg.norm(normal)

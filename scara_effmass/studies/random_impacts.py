@@ -227,20 +227,18 @@ def _worst_normal(
     With a servo it follows from the two-mass model: it is one of (A + s I)^-1 v, where s ranges from 1 / m_H, for free
     joints, to infinity, for an immovable robot.
     """
-    free = sim.worst_normal(q, qd, limit.obstacle_mass_kg, point)
+    free = sim.worst_normal(q, qd, limit.body_mass_kg, point)
     if servo is None:
         return free
     jacobian, mass_matrix = sim.kinematics(q, point)
     mobility, velocity = jacobian @ np.linalg.solve(mass_matrix, jacobian.T), jacobian @ qd
-    shifts = np.geomspace(
-        1.0 / limit.obstacle_mass_kg, 1e3 * (np.trace(mobility) + 1.0 / limit.obstacle_mass_kg), NORMALS
-    )
+    shifts = np.geomspace(1.0 / limit.body_mass_kg, 1e3 * (np.trace(mobility) + 1.0 / limit.body_mass_kg), NORMALS)
     normals = np.linalg.solve(mobility + shifts[:, None, None] * np.eye(3), velocity[:, None])[:, :, 0]
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     mu = servo_reduced_masses(
         np.einsum("ni,ij,nj->n", normals, mobility, normals),
         np.array([limit.stiffness_n_m]),
-        np.array([limit.obstacle_mass_kg]),
+        np.array([limit.body_mass_kg]),
         servo.bandwidth,
         servo.damping,
     )[0]

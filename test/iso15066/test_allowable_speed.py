@@ -36,7 +36,7 @@ regions = st.sampled_from([name for name in BODY_REGIONS if name not in {"skull_
 EXAMPLE = limits_for(MonitorSettings())[0]
 any_limit = st.builds(
     lambda force, stiffness, mass: replace(
-        EXAMPLE, force_n=force, pressure_n_cm2=1e6, stiffness_n_m=stiffness, obstacle_mass_kg=mass
+        EXAMPLE, force_n=force, pressure_n_cm2=1e6, stiffness_n_m=stiffness, body_mass_kg=mass
     ),
     force=st.floats(10.0, 500.0),
     stiffness=st.floats(1e3, 1e6),
@@ -54,7 +54,7 @@ def smallest_speed(limits: tuple[Limit, ...], mass: float, uncertainty: float) -
     inverse_robot = 1.0 / mass
     speeds = []
     for limit in limits:
-        inverse_mu = inverse_robot + 1.0 / limit.obstacle_mass_kg
+        inverse_mu = inverse_robot + 1.0 / limit.body_mass_kg
         force = min(limit.force_n, limit.pressure_n_cm2 * limit.contact_area_cm2)
         speeds.append(force * math.sqrt(inverse_mu / ((1.0 + uncertainty) * limit.stiffness_n_m)))
     return min(speeds)
@@ -102,7 +102,7 @@ def test_force_at_the_allowable_speed_is_the_limit(region: str, mass: float, unc
     found = speed_limit_of(mass, body_regions=[region], stiffness_uncertainty=uncertainty)
     speed, limit, mu, stiffness = found.allowable_speed, found.limit, found.reduced_mass, found.stiffness
     assert stiffness == (1.0 + uncertainty) * limit.stiffness_n_m
-    assert mu == pytest.approx(reduced_mass(mass, limit.obstacle_mass_kg), rel=1e-12)
+    assert mu == pytest.approx(reduced_mass(mass, limit.body_mass_kg), rel=1e-12)
     assert found.force(speed) == pytest.approx(limit.permissible_force_n)
     assert peak_force(speed, mu, stiffness) == pytest.approx(limit.permissible_force_n)
     assert transferred_energy(speed, mu) == pytest.approx(limit.permissible_force_n**2 / (2.0 * stiffness))
@@ -134,7 +134,7 @@ def test_tighter_settings_never_raise_the_speed(mass: float, region: str, tighte
         ("max_force", limit.force_n / tighter),
         ("max_pressure_pa", 1e4 * limit.pressure_n_cm2 / tighter),
         ("stiffness_n_m", BODY_REGIONS[region].stiffness_n_m * tighter),
-        ("obstacle_mass", BODY_REGIONS[region].mass_kg * tighter),
+        ("body_mass", BODY_REGIONS[region].mass_kg * tighter),
     ):
         own = speed_limit_of(mass, body_regions=[region], **{key: value})
         assert own.allowable_speed <= standard.allowable_speed * (1 + 1e-12)

@@ -58,7 +58,7 @@ def test_bound_of_a_servo_is_never_exceeded(region: str, bandwidth: float, dampi
     for mass in np.geomspace(1.0 / MAX_MOBILITY, 100.0, 6).tolist():
         found = speed_limit_of(mass, settings)
         limit = found.limit
-        force = peak_force(mass, limit.stiffness_n_m, limit.obstacle_mass_kg, bandwidth, damping)
+        force = peak_force(mass, limit.stiffness_n_m, limit.body_mass_kg, bandwidth, damping)
         assert force <= found.force(1.0)
         assert found.force(1.0) <= 1.35 * force
 
@@ -72,7 +72,7 @@ def test_servo_lies_between_free_and_immovable(servo: MonitorSettings, mass: flo
     )
     assert immovable.allowable_speed * (1 - 1e-9) <= found.allowable_speed <= free.allowable_speed * (1 + 1e-9)
     limit = immovable.limit
-    assert immovable.force(1.0) == pytest.approx(math.sqrt(limit.obstacle_mass_kg * limit.stiffness_n_m))
+    assert immovable.force(1.0) == pytest.approx(math.sqrt(limit.body_mass_kg * limit.stiffness_n_m))
 
 
 def test_limits_of_the_bandwidth() -> None:

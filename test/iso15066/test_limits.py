@@ -44,7 +44,7 @@ def test_limits_that_permit_no_force_are_refused(setting: str, value: float) -> 
 
 
 def test_clamped_body_part_is_infinitely_heavy() -> None:
-    assert {limit.obstacle_mass_kg for limit in limits(contact="quasi_static").values()} == {math.inf}
+    assert {limit.body_mass_kg for limit in limits(contact="quasi_static").values()} == {math.inf}
 
 
 @given(selections, contacts)
@@ -58,7 +58,7 @@ def test_strictest_row_of_a_region_governs() -> None:
     assert (hand.force_n, hand.pressure_n_cm2) == (280.0, 380.0)
     assert [point.number for point in hand.pressure_points] == [25]
     assert [point.number for point in hand.force_points] == list(range(17, 26))
-    assert (hand.stiffness_n_m, hand.obstacle_mass_kg, hand.energy_j) == (75e3, 0.6, 0.49)
+    assert (hand.stiffness_n_m, hand.body_mass_kg, hand.energy_j) == (75e3, 0.6, 0.49)
     leg = limits()["lower_leg"]
     assert leg.clause == "force: Table A.2 row 28, 29; pressure: Table A.2 row 29"
 
@@ -81,7 +81,7 @@ def test_criterion_changes_with_the_contact_area() -> None:
     max_force=st.just(0.0) | st.floats(1e-6, 500.0),
     max_pressure_pa=st.just(0.0) | st.floats(1.0, 7e6),
     stiffness_n_m=st.floats(0.0, 2e5),
-    obstacle_mass=st.floats(0.0, 100.0),
+    body_mass=st.floats(0.0, 100.0),
 )
 def test_settings_tighten_limits_or_raise(contact: ContactType, names: tuple[str, ...], **own: float) -> None:
     standard = limits(contact=contact, body_regions=names)
@@ -89,7 +89,7 @@ def test_settings_tighten_limits_or_raise(contact: ContactType, names: tuple[str
         "max_force": max(limit.force_n for limit in standard.values()),
         "max_pressure_pa": 1e4 * max(limit.pressure_n_cm2 for limit in standard.values()),
         "stiffness_n_m": min(limit.stiffness_n_m for limit in standard.values()),
-        "obstacle_mass": min(limit.obstacle_mass_kg for limit in standard.values()),
+        "body_mass": min(limit.body_mass_kg for limit in standard.values()),
     }
     loosening = {
         key
@@ -105,7 +105,7 @@ def test_settings_tighten_limits_or_raise(contact: ContactType, names: tuple[str
         assert limit.force_n == min(standard[name].force_n, own["max_force"] or math.inf)
         assert limit.pressure_n_cm2 == min(standard[name].pressure_n_cm2, (own["max_pressure_pa"] or math.inf) / 1e4)
         assert limit.stiffness_n_m == max(standard[name].stiffness_n_m, own["stiffness_n_m"])
-        assert limit.obstacle_mass_kg == max(standard[name].obstacle_mass_kg, own["obstacle_mass"])
+        assert limit.body_mass_kg == max(standard[name].body_mass_kg, own["body_mass"])
         assert limit.energy_j == standard[name].energy_j
 
 
@@ -117,7 +117,7 @@ def test_own_limit_is_named_as_source() -> None:
 
 def test_settings_equal_to_the_standard_change_nothing() -> None:
     own = limits(
-        body_regions=["hand_fingers"], max_force=280.0, max_pressure_pa=3.8e6, stiffness_n_m=75e3, obstacle_mass=0.6
+        body_regions=["hand_fingers"], max_force=280.0, max_pressure_pa=3.8e6, stiffness_n_m=75e3, body_mass=0.6
     )
     assert own == limits(body_regions=["hand_fingers"])
 
@@ -128,8 +128,8 @@ def test_settings_equal_to_the_standard_change_nothing() -> None:
         ({"max_force": 441.0}, ["max_force = 441 N", "440 N", "thigh_knee", "row 26, 27"]),
         ({"max_pressure_pa": 4.41e6}, ["max_pressure_pa = 4.41e+06 Pa", "4.4e+06 Pa", "thigh_knee", "row 27"]),
         ({"body_regions": ["neck"], "stiffness_n_m": 49e3}, ["stiffness_n_m = 49000 N/m", "50000 N/m", "neck"]),
-        ({"obstacle_mass": 0.5}, ["obstacle_mass = 0.5 kg", "0.6 kg", "hand_fingers"]),
-        ({"contact": "quasi_static", "obstacle_mass": 75.0}, ["obstacle_mass = 75 kg", "must be 0", "clamped"]),
+        ({"body_mass": 0.5}, ["body_mass = 0.5 kg", "0.6 kg", "hand_fingers"]),
+        ({"contact": "quasi_static", "body_mass": 75.0}, ["body_mass = 75 kg", "must be 0", "clamped"]),
         ({"body_regions": ["face"]}, ["body_regions = 'face'", "no contact with head and face", "row 3"]),
         ({"body_regions": ["skull_forehead"]}, ["body_regions = 'skull_forehead'", "row 1, 2"]),
         ({"body_regions": ["chest", "chest"]}, ["body_regions = 'chest'", "2 times"]),

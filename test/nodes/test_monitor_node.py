@@ -173,7 +173,7 @@ class TestParameters:
             ("body_regions", ["face"], "the standard permits no contact"),
             ("max_force", 1e5, "max_force = 100000 N: must be at most the standard's"),
             ("stiffness_n_m", 1e3, "stiffness_n_m = 1000 N/m: must be at least the standard's"),
-            ("obstacle_mass", 0.01, "obstacle_mass = 0.01 kg: must be at least the standard's"),
+            ("body_mass", 0.01, "body_mass = 0.01 kg: must be at least the standard's"),
             ("effective_mass_model", "light", "must be 'lumped', 'full', 'iso', 'largest' or 'auto'"),
             ("timeout", -1.0, "out of range"),
             ("timeout", math.nan, "out of range"),

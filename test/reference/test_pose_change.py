@@ -173,7 +173,7 @@ def test_speed_of_a_straight_contact(drives: Drives, factor: float) -> None:
     """One mass in one direction: v (1 + growth v) sqrt(mu k) = F, growth = T (a / v0 - beta mu dA/dt / 2) / v0."""
     settings = MonitorSettings(drives=drives, body_regions=("chest",), stiffness_uncertainty=0.0)
     (limit,) = limits_for(settings)
-    inverse_mass, rate, v0, a, k, m_h = 0.5, -3.0, 0.4, 0.7, limit.stiffness_n_m, limit.obstacle_mass_kg
+    inverse_mass, rate, v0, a, k, m_h = 0.5, -3.0, 0.4, 0.7, limit.stiffness_n_m, limit.body_mass_kg
     mobility = Mobility.of_mass(1.0 / inverse_mass, X, PoseChange(v0, rate * np.eye(3), (a * X,)))
     found = bound_of(settings, [mobility.with_masses(factor)])
     (lines,) = contact_lines(drives, settings.servo, (k,), (m_h,))
@@ -190,7 +190,7 @@ def test_milder_limit_governs_by_its_longer_contact() -> None:
     """A light robot that drives hold, and two limits with the same k m_H."""
     (example,) = limits_for(MonitorSettings(body_regions=("chest",)))
     tight, mild = (
-        replace(example, force_n=force, pressure_n_cm2=1e6, stiffness_n_m=k, obstacle_mass_kg=m)
+        replace(example, force_n=force, pressure_n_cm2=1e6, stiffness_n_m=k, body_mass_kg=m)
         for force, k, m in ((100.0, 1e5, 1.0), (105.0, 1e4, 10.0))
     )
     settings = MonitorSettings(drives=Drives.IMMOVABLE, stiffness_uncertainty=0.0)
@@ -214,7 +214,7 @@ def test_push_of_drives_changes_the_pose_for_the_time_of_the_body_part() -> None
     mobility = Mobility.of_mass(2.0, X, PoseChange(v0, ZEROS, (a * X,)))
     found = bound_of(settings, [mobility], push=DrivePush(0.5, 0.5))
     assert found.push > 0.0
-    assert found.growth == pytest.approx(contact_time(limit.obstacle_mass_kg, limit.stiffness_n_m) * a / v0**2)
+    assert found.growth == pytest.approx(contact_time(limit.body_mass_kg, limit.stiffness_n_m) * a / v0**2)
 
 
 @given(SEEDS, ALPHAS)

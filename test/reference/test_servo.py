@@ -32,7 +32,7 @@ def test_no_normal_exceeds_the_bound_of_a_servo(servo: MonitorSettings) -> None:
         shares.append(normals @ n)
         along.append(np.einsum("ni,ij,nj->n", normals, matrix, normals))
     limit = cases[0].limit
-    stiffness, obstacle = np.array([limit.stiffness_n_m]), np.array([limit.obstacle_mass_kg])
+    stiffness, obstacle = np.array([limit.stiffness_n_m]), np.array([limit.body_mass_kg])
     (masses,) = servo_reduced_masses(np.concatenate(along), stiffness, obstacle, servo.servo.bandwidth, 0.7)
     forces = np.array(shares) * np.sqrt(masses.reshape(20, 50) * stiffness)
     assert (forces.max(axis=1) <= bounds).all()
@@ -48,7 +48,7 @@ def test_effort_limits_bound_the_push_of_a_servo(servo: MonitorSettings, mass: f
     assert bounded.allowable_speed >= speed_limit_of(mass, servo).allowable_speed * (1 - 1e-12)
     assert bounded.force(bounded.allowable_speed) == pytest.approx(limit.permissible_force_n, rel=1e-9)
     if bounded.push > 0.0:
-        assert bounded.push == pytest.approx(push * limit.obstacle_mass_kg / (mass + limit.obstacle_mass_kg))
+        assert bounded.push == pytest.approx(push * limit.body_mass_kg / (mass + limit.body_mass_kg))
 
 
 @pytest.mark.parametrize("masses", [(1.0, 4.0), (4.0, 1.0)])
@@ -56,7 +56,7 @@ def test_push_counts_the_uncertainty_and_the_heaviest_mass(masses: tuple[float, 
     chosen = settings_of(body_regions=["chest"], drives="servo", servo={"bandwidth": 1000.0})
     mobilities = [Mobility.of_mass(mass, X).with_masses(1.5) for mass in masses]
     found = speed_limit(contact_cases(limits_for(chosen), chosen), mobilities, DrivePush(2.0, 0.25 / 1.5))
-    inverse = 1.0 / found.limit.obstacle_mass_kg
+    inverse = 1.0 / found.limit.body_mass_kg
     assert found.push == pytest.approx(2.0 / (0.25 / 1.5 + inverse))
     assert found.reduced_mass == pytest.approx(1.0 / (0.25 / 1.5 + inverse))
 

@@ -104,24 +104,24 @@ any_settings = st.builds(
 
 
 def bounding_reduced_mass(
-    contact: ContactState, model: ModelCode, iso_mass: float, obstacle_mass: float, settings: MonitorSettings
+    contact: ContactState, model: ModelCode, iso_mass: float, body_mass: float, settings: MonitorSettings
 ) -> float:
     """Return the largest (v.n)^2 mu(n) / (share of the speed)^2 of one model, by linear algebra."""
     if settings.drives is Drives.IMMOVABLE:
-        return obstacle_mass
+        return body_mass
     factor = 1.0 + settings.mass_uncertainty
     if model is ModelCode.ISO:
-        return parallel(iso_mass * factor, obstacle_mass)
+        return parallel(iso_mass * factor, body_mass)
     mobility = contact.mobilities[model] / factor
     normal = settings.fixed_normal
     if normal is not None:
-        return parallel(1.0 / float(np.array(normal) @ mobility @ np.array(normal)), obstacle_mass)
+        return parallel(1.0 / float(np.array(normal) @ mobility @ np.array(normal)), body_mass)
     velocity = direction_of(contact, settings)
     if velocity is None:
-        return parallel(factor * contact.effective_mass(model, None), obstacle_mass)
+        return parallel(factor * contact.effective_mass(model, None), body_mass)
     if settings.contact_normal == "velocity":
-        return parallel(1.0 / float(velocity @ mobility @ velocity), obstacle_mass)
-    return float(velocity @ np.linalg.solve(mobility + np.eye(3) / obstacle_mass, velocity))
+        return parallel(1.0 / float(velocity @ mobility @ velocity), body_mass)
+    return float(velocity @ np.linalg.solve(mobility + np.eye(3) / body_mass, velocity))
 
 
 def bounding_speed(
@@ -129,14 +129,14 @@ def bounding_speed(
 ) -> float:
     """Return v with v (1 + growth v) sqrt(mu k) = F, by linear algebra; the growth is that of 1.5 times the rise."""
     stiffness = limit.stiffness_n_m * (1.0 + settings.stiffness_uncertainty)
-    mu = bounding_reduced_mass(contact, model, iso_mass, limit.obstacle_mass_kg, settings)
+    mu = bounding_reduced_mass(contact, model, iso_mass, limit.body_mass_kg, settings)
     speed, growth = limit.permissible_force_n / math.sqrt(mu * stiffness), 0.0
     n = direction_of(contact, settings)
     if model is not ModelCode.ISO and n is not None and settings.contact_normal != "velocity":
         change = contact.mobility(model, n).change
         assert change is not None
         mobility, rate = contact.mobilities[model], change.mobility_rate / (1.0 + settings.mass_uncertainty)
-        matrix = mobility / (1.0 + settings.mass_uncertainty) + np.eye(3) / limit.obstacle_mass_kg
+        matrix = mobility / (1.0 + settings.mass_uncertainty) + np.eye(3) / limit.body_mass_kg
         w, along_speed = np.linalg.solve(matrix, n), contact.speed
         if settings.fixed_normal is not None:
             normal = np.array(settings.fixed_normal)
@@ -202,8 +202,8 @@ def test_assessment_agrees_with_masses_and_limits(
     limit = next(limit for limit in limits_for(settings) if limit.region == contact.body_region)
     assert contact.criterion == limit.criterion
     assert contact.stiffness == limit.stiffness_n_m
-    assert contact.body_mass == (0.0 if math.isinf(limit.obstacle_mass_kg) else limit.obstacle_mass_kg)
-    mu = min(parallel(mass, limit.obstacle_mass_kg), settings.mass_cap)
+    assert contact.body_mass == (0.0 if math.isinf(limit.body_mass_kg) else limit.body_mass_kg)
+    mu = min(parallel(mass, limit.body_mass_kg), settings.mass_cap)
     assert contact.reduced_mass == pytest.approx(mu, rel=1e-12)
     force = (contact.speed + settings.person_speed) * math.sqrt(mu * limit.stiffness_n_m)
     assert contact.predicted_force == pytest.approx(force, rel=1e-12)
@@ -360,7 +360,7 @@ def test_stretched_arm_gives_capped_mass(
         assert contact.allowable_speed > 0.0
 
 
-def test_clamped_contact_has_no_obstacle_mass(scara: RobotDynamics) -> None:
+def test_clamped_contact_has_no_body_mass(scara: RobotDynamics) -> None:
     contact = assess_one(scara, (0.3, 1.2, 0.1, 0.0), (0.1, 0.1, 0.01, 0.1), contact="quasi_static")
     assert contact.body_mass == 0.0
     assert contact.reduced_mass == contact.effective_mass

@@ -38,10 +38,10 @@ def test_peak_of_free_joints_in_one_pose_is_v_root_mu_k() -> None:
     rng = np.random.default_rng(2)
     for _ in range(5):
         q, qd = arm.draw_motion(rng)
-        normal = arm.sim.worst_normal(q, qd, CHEST.obstacle_mass_kg)
+        normal = arm.sim.worst_normal(q, qd, CHEST.body_mass_kg)
         jacobian, mass_matrix = arm.sim.kinematics(q)
         row = normal @ jacobian
-        mu = 1.0 / (row @ np.linalg.solve(mass_matrix, row) + 1.0 / CHEST.obstacle_mass_kg)
+        mu = 1.0 / (row @ np.linalg.solve(mass_matrix, row) + 1.0 / CHEST.body_mass_kg)
         force = float(row @ qd) * math.sqrt(mu * CHEST.stiffness_n_m)
         peak = arm.sim.touch(q, qd, normal, CHEST, pace=STILL)
         assert peak.force == pytest.approx(force, rel=3e-4)
@@ -54,7 +54,7 @@ def test_stiff_servo_makes_the_arm_immovable() -> None:
     normal = arm.sim.kinematics(q)[0] @ qd
     speed = float(np.linalg.norm(normal))
     peak = arm.sim.touch(q, qd, normal / speed, CHEST, JointServo(300.0), pace=STILL)
-    assert peak.force == pytest.approx(speed * math.sqrt(CHEST.obstacle_mass_kg * CHEST.stiffness_n_m), rel=0.01)
+    assert peak.force == pytest.approx(speed * math.sqrt(CHEST.body_mass_kg * CHEST.stiffness_n_m), rel=0.01)
 
 
 def test_masses_scale_the_mass_matrix() -> None:
@@ -72,7 +72,7 @@ def test_masses_scale_the_mass_matrix() -> None:
 def test_a_simulation_that_diverges_has_no_peak(servo: JointServo | None) -> None:
     arm = arm_of("UR5")
     q, qd = arm.draw_motion(np.random.default_rng(5))
-    normal = arm.sim.worst_normal(q, qd, CHEST.obstacle_mass_kg)
+    normal = arm.sim.worst_normal(q, qd, CHEST.body_mass_kg)
     with pytest.raises(ArithmeticError, match="diverged"):
         arm.sim.touch(q, qd * math.nan, normal, CHEST, servo)
 
@@ -84,7 +84,7 @@ def test_error_of_the_time_step(servo: JointServo | None) -> None:
     for _ in range(3):
         q, creep = arm.draw_motion(rng)
         qd = creep * (0.8 / 0.006)
-        normal = arm.sim.worst_normal(q, qd, CHEST.obstacle_mass_kg)
+        normal = arm.sim.worst_normal(q, qd, CHEST.body_mass_kg)
         coarse, fine = (
             arm.sim.touch(q, qd, normal, CHEST, servo, phase_step=step).force for step in (PHASE_STEP, PHASE_STEP / 4.0)
         )
