@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 
 from scara_effmass.analysis.plot_style import ISO_RED, STYLE, new_figure
 from scara_effmass.errors import RobotError
-from scara_effmass.model.many_poses import ManyPoses
+from scara_effmass.model.poses import ManyPoses
 from scara_effmass.model.robot import Robot
 from scara_effmass.safety import Assessments, Monitor
 from scara_effmass.safety.assessments import Records, joined

@@ -6,7 +6,7 @@ from nicegui import ui
 from nicegui.elements.scene.scene_object3d import Object3D
 
 from scara_effmass.cell.status import CellStatus
-from scara_effmass.model.pose_geometry import mass_ellipsoid, pose_geometry, rotation_to
+from scara_effmass.model.poses import mass_ellipsoid, pose_geometry, rotation_to
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.reference.mobility import Mobility
 from scara_effmass.safety.joint_state_adapter import JointStateAdapter

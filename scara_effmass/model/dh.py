@@ -15,13 +15,19 @@ from pydantic_core import PydanticCustomError
 
 from scara_effmass.errors import RobotError
 from scara_effmass.input_files import read_yaml
-from scara_effmass.model.build import ContactPoint, add_contact_frame, build_robot, contact_point, inertia_tensor
-from scara_effmass.model.plausibility import MAX_ANGLE_RAD, StatedLink, principal_moments
-from scara_effmass.model.robot import PARALLEL, Robot
-from scara_effmass.model.rotors import rotor_inertia
+from scara_effmass.model.description import (
+    MAX_ANGLE_RAD,
+    PARALLEL,
+    RobotDescription,
+    StatedLink,
+    contact_point,
+    inertia_tensor,
+    principal_moments,
+    rotor_inertia,
+)
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.settings.loading import FrozenSettings, broken_rule, nearest
-from scara_effmass.values import ZERO_VECTOR, FloatArray
+from scara_effmass.values import FloatArray
 
 
 def _bounded(value: float) -> float:
@@ -178,10 +184,8 @@ class DhFile(_Strict):
         raise ValueError(f"{key}: link = {link!r}: must be {rule}")
 
 
-def load_dh(path: Path, settings: MonitorSettings) -> Robot:
-    """Return the robot of the DH file at `path`, with the contact points of `settings` (default: all of the file).
-
-    The payload of `settings` is added to that of the file.
+def load_dh(path: Path, settings: MonitorSettings) -> RobotDescription:
+    """Return what the DH file at `path` states, with the contact points of `settings` (default: all of the file).
 
     Raises RobotError for a file that cannot be used, and for settings that the file must state itself.
     """
@@ -200,7 +204,7 @@ def load_dh(path: Path, settings: MonitorSettings) -> Robot:
         # A list, where a number may stand as well, first fails because it is no number.
         first = min(error.errors(), key=lambda item: item["type"] == "float_type" and isinstance(item["input"], list))
         raise RobotError(f"{path}: {_place(first['loc'], rows)}{broken_rule(first)}") from None
-    return _robot(file, str(path), settings)
+    return _described(file, str(path), settings)
 
 
 def _set_limits(content: Any, limits: Mapping[str, tuple[float, float]]) -> None:  # noqa: ANN401 - unchecked YAML
@@ -225,23 +229,15 @@ def _place(keys: Sequence[int | str], rows: Any) -> str:  # noqa: ANN401 - what 
     return place or "file"
 
 
-def _robot(file: DhFile, origin: str, settings: MonitorSettings) -> Robot:
+def _described(file: DhFile, origin: str, settings: MonitorSettings) -> RobotDescription:
     model = pin.Model()
     model.name = file.robot
     parent = 0
     placement = pin.SE3.Identity()
     for row, link in zip(file.joints, file.links, strict=True):
         joint = pin.JointModelRZ() if row.type == "revolute" else pin.JointModelPZ()
-        parent = model.addJoint(
-            parent,
-            joint,
-            placement,
-            row.name,
-            np.array([row.max_effort]),
-            np.array([row.max_speed]),
-            np.array([row.lower]),
-            np.array([row.upper]),
-        )
+        limits = (np.array([value]) for value in (row.max_effort, row.max_speed, row.lower, row.upper))
+        parent = model.addJoint(parent, joint, placement, row.name, *limits)
         model.appendBodyToJoint(parent, link.body, row.link_in_joint())
         placement = row.next_in_joint()
     model.appendBodyToJoint(parent, file.payload.body, placement)
@@ -249,41 +245,41 @@ def _robot(file: DhFile, origin: str, settings: MonitorSettings) -> Robot:
     if file.rotor_inertia is not None:
         stated = np.array(file.rotor_inertia)
     joints = [row.name for row in file.joints]
-    rotors = rotor_inertia(joints, stated, "the DH file", settings.armature, origin)
-    frames: dict[str, int] = {}
+    points = []
     for name, number, at in _contact_points(file, origin, settings.contact_points):
         pose = file.joints[number - 1].link_in_joint() if number else placement
-        add_contact_frame(model, frames, name, number or parent, pose, at)
-    return build_robot(
-        model,
-        origin,
-        settings,
-        links=[StatedLink(link.name, link.mass, np.array(link.com), _tensor(link.inertia)) for link in file.links],
-        rotors=rotors,
-        notes=(),
-        file_payload=file.payload.mass,
-        contact_frames=frames,
-        tip=placement,
-        name=file.robot,
+        points.append((name, number or parent, pose * pin.SE3(np.eye(3), np.array(at))))
+    return RobotDescription(
+        origin=origin,
         base_frame=file.base_frame,
+        model=model,
+        links=[StatedLink(link.name, link.mass, np.array(link.com), _tensor(link.inertia)) for link in file.links],
+        rotors=rotor_inertia(joints, stated, "the DH file", settings.armature, origin),
+        payload_mass=file.payload.mass,
+        contact_points=points,
+        tip=placement,
+        notes=(),
     )
 
 
 def _contact_points(file: DhFile, origin: str, entries: Sequence[str]) -> Iterator[tuple[str, int, Point]]:
     """Yield name, number of the link (0: the last DH frame) and position of each contact point."""
-    for entry in dict.fromkeys(entries or file.contact_points):
-        point = contact_point(entry) if entries else ContactPoint(entry, "", ZERO_VECTOR)
-        stated = file.contact_points.get(point.name)
-        if point.link:
+    if not entries:
+        for name, point in file.contact_points.items():
+            yield name, file.link_number(point.link, name), point.at
+    for entry in dict.fromkeys(entries):
+        name, link, at = contact_point(entry)
+        if link:
             try:
-                yield point.name, file.link_number(point.link, f"contact_points = {entry!r}"), point.at
+                yield name, file.link_number(link, f"contact_points = {entry!r}"), at
             except ValueError as error:
                 raise RobotError(f"{origin}: {error}") from None
-        elif stated is None:
+        elif name in file.contact_points:
+            stated = file.contact_points[name]
+            yield name, file.link_number(stated.link, entry), stated.at
+        else:
             names = ", ".join(file.contact_points)
             raise RobotError(f"{origin}: contact_points = {entry!r}: must be one of {names}, or NAME=LINK: X Y Z")
-        else:
-            yield point.name, file.link_number(stated.link, entry), stated.at
 
 
 def _tensor(inertia: Inertia | None) -> FloatArray:

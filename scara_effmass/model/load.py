@@ -1,20 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Load a robot from a file of any format."""
+"""Load a robot from a file of any format, with its load and a check of its data."""
 
+from collections.abc import Sequence
+from dataclasses import replace
+from fnmatch import fnmatchcase
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
+import pinocchio as pin
+
+from scara_effmass.errors import RobotError
+from scara_effmass.model.description import RobotDescription, StatedLink, inertia_tensor
 from scara_effmass.model.dh import load_dh
+from scara_effmass.model.plausibility import check_inertials, judge, triangle_error
 from scara_effmass.model.robot import Robot
 from scara_effmass.model.urdf import load_urdf
 from scara_effmass.settings import MonitorSettings
+from scara_effmass.settings.loading import nearest
+
+MAX_MOVING_JOINTS = 64
+"""Largest number of joints of a model; the memory of its dynamics grows with its cube, 300 joints take 2.6 GB."""
 
 
 class RobotFormat(Protocol):
     """Loader of one file format."""
 
-    def __call__(self, path: Path, settings: MonitorSettings) -> Robot:
-        """Return the robot in `path`. Raises RobotError where the file or `settings` cannot be used."""
+    def __call__(self, path: Path, settings: MonitorSettings) -> RobotDescription:
+        """Return what the file at `path` states. Raises RobotError where the file or `settings` cannot be used."""
 
 
 ROBOT_FORMATS: dict[str, RobotFormat] = {
@@ -28,9 +42,108 @@ ROBOT_FORMATS: dict[str, RobotFormat] = {
 def load_robot(path: Path | None = None, settings: MonitorSettings | None = None) -> Robot:
     """Return the robot in `path`; by default the one that `settings` name, the shipped Omron i4-550L if none.
 
-    `settings` hold the contact points, and for a URDF also locked joints, payload and armature, which a DH file
-    states itself. Raises RobotError.
+    `settings` hold the contact points, the load and the armature, and for a URDF also locked joints. Raises RobotError.
     """
     settings = settings or MonitorSettings()
     path = path or settings.robot_path
-    return ROBOT_FORMATS.get(path.suffix.lower(), load_urdf)(path, settings)
+    return build_robot(ROBOT_FORMATS.get(path.suffix.lower(), load_urdf)(path, settings), settings)
+
+
+def build_robot(stated: RobotDescription, settings: MonitorSettings) -> Robot:
+    """Return the robot that a file has `stated`, with rotors, the load of `settings` and doubts about its data.
+
+    m_L is the payload of the file, the links that match a glob of `settings.tool_links`, and the payload of `settings`,
+    in the frame of the first contact point at the end of a chain of joints, or else of the tip.
+
+    Raises RobotError for a model without joints or mass or with too many joints, for an impossible payload, and for
+    `tool_links` that match none.
+    """
+    origin, links, rotors = stated.origin, stated.links, stated.rotors
+    joints = list(stated.model.names)[1:]
+    if not joints:
+        raise RobotError(f"{origin}: must have at least one joint that moves")
+    if len(joints) > MAX_MOVING_JOINTS:
+        raise RobotError(f"{origin}: {len(joints)} joints move: must be at most {MAX_MOVING_JOINTS}; lock the others")
+    if not any(link.mass > 0.0 for link in links):
+        raise RobotError(f"{origin}: the moving links have no mass: every link must have its mass and centre of mass")
+    for joint in settings.position_limits:
+        if joint not in joints:
+            raise RobotError(f"{origin}: joint_limits = {joint!r}: {nearest(joint, joints)}")
+    model = stated.model.copy()
+    model.armature = np.diag(rotors.matrix)
+    contact_frames = _add_contact_frames(model, stated)
+    load_notes = _add_payload(model, stated, settings)
+    check = check_inertials(links)
+    bodies = zip(joints, list(model.inertias)[1:], strict=True)
+    massless = [joint for joint, body in bodies if body.mass == 0.0]
+    masses_reason = check.masses
+    if massless:
+        masses_reason = f"no mass behind {', '.join(massless)}: the robot is heavier than the file says"
+    source = f"topic {settings.payload_topic}" if settings.payload_topic else "parameter payload_mass"
+    payload = {
+        "robot file": stated.payload_mass,
+        f"tool_links {', '.join(settings.tool_links)}": _tool_mass(links, settings.tool_links, origin),
+        source: settings.payload_mass,
+    }
+    robot = Robot(
+        origin=origin,
+        base_frame=stated.base_frame,
+        model=model,
+        contact_frames=contact_frames,
+        tip=stated.tip,
+        payload={name: mass for name, mass in payload.items() if mass or name.startswith("topic ")},
+        rebuild=partial(build_robot, stated),
+        rotors=rotors,
+        lumping=settings.lumping,
+        masses_reason=masses_reason,
+        coms_reason=masses_reason or check.coms,
+        inertias_reason=masses_reason or check.coms or check.inertias,
+        notes=(*stated.notes, *load_notes, *check.notes, *rotors.notes, *filter(None, [rotors.warning])),
+    )
+    judged = judge(robot)
+    return replace(robot, reach=judged.reach, units_reason=judged.units, notes=(*robot.notes, *judged.notes))
+
+
+def _add_contact_frames(model: pin.Model, stated: RobotDescription) -> dict[str, int]:
+    """Add a frame per contact point to `model` and return the ids of the frames by name. Raises RobotError."""
+    frames: dict[str, int] = {}
+    for name, joint, pose in stated.contact_points:
+        if name in frames:
+            raise RobotError(f"contact_points = {name!r}: must name each point once")
+        frames[name] = model.addFrame(pin.Frame(name, joint, 0, pose, pin.FrameType.OP_FRAME))
+    return frames
+
+
+def _add_payload(model: pin.Model, stated: RobotDescription, settings: MonitorSettings) -> list[str]:
+    """Add the payload of `settings` to `model`, and return notes. Raises RobotError for an inertia that no body has."""
+    load = StatedLink(
+        "payload", settings.payload_mass, np.array(settings.payload_com), inertia_tensor(settings.payload_inertia)
+    )
+    problem = "must be 0 without payload_mass" if not load.mass and load.inertia.any() else ""
+    try:
+        problem = problem or triangle_error(load)
+    except ValueError as error:
+        problem = str(error)
+    if problem:
+        raise RobotError(f"payload_inertia = {list(settings.payload_inertia)}: {problem}")
+    if not load.mass:
+        return []
+    ends = set(range(1, model.njoints)) - set(model.parents)
+    places = ((joint, pose) for _, joint, pose in stated.contact_points if joint in ends)
+    joint, pose = next(places, (model.njoints - 1, stated.tip))
+    model.appendBodyToJoint(joint, pin.Inertia(load.mass, load.com, load.inertia), pose)
+    notes = []
+    if len(ends) > 1:
+        notes.append(f"the payload moves with {model.names[joint]}: name the point that carries it first")
+    if not load.inertia.any():
+        notes.append("the payload counts as a point mass: set payload_inertia")
+    return notes
+
+
+def _tool_mass(links: Sequence[StatedLink], globs: Sequence[str], origin: str) -> float:
+    """Return the mass [kg] of the `links` whose name matches one of `globs`. Raises RobotError for one without."""
+    for glob in globs:
+        if not any(fnmatchcase(link.name, glob) for link in links):
+            names = ", ".join(link.name for link in links)
+            raise RobotError(f"{origin}: tool_links = {glob!r}: must match one of the links {names}")
+    return sum(link.mass for link in links if any(fnmatchcase(link.name, glob) for glob in globs))

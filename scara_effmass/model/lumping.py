@@ -24,7 +24,8 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from scara_effmass.errors import RobotError
-from scara_effmass.model.robot import PARALLEL, Robot
+from scara_effmass.model.description import PARALLEL
+from scara_effmass.model.robot import Robot
 from scara_effmass.settings import FreeParameters, LumpingPolicy
 from scara_effmass.values import FloatArray, Vector3
 

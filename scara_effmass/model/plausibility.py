@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from scara_effmass.model.description import StatedLink, principal_moments
 from scara_effmass.model.robot import Robot
 from scara_effmass.values import FloatArray
 
@@ -26,27 +27,8 @@ MAX_DISTANCE_M = 5.0
 MIN_DEGREES, MAX_DEGREES = 50.0, 1500.0
 """Between these, the range [rad] of a revolute joint is one in degrees if all are; a wider one means no limit."""
 WIDE_RANGE_RAD, WIDE_RANGE_M, NO_RANGE = 6.0 * math.pi + 0.01, 10.0, 1e5
-MAX_ANGLE_RAD = 7.0
-"""Fixed angle that is certainly not in radians: it exceeds one turn."""
 _TRIANGLE = 1e-3
 """Relative tolerance of the triangle inequality, for values rounded in the file."""
-
-
-class StatedLink(NamedTuple):
-    """Inertial data of one moving link as stated in the file, before fixed links and payload are added.
-
-    `com` (3,) [m] and `inertia` (3, 3) [kg m2] about it are in the axes that the file uses.
-    """
-
-    name: str
-    mass: float
-    com: FloatArray
-    inertia: FloatArray
-
-    @property
-    def placeholder(self) -> bool:
-        """Whether the inertia is the identity, or the mass times it, which no link of a robot has."""
-        return any(np.allclose(self.inertia, scale * np.eye(3), rtol=1e-6, atol=0.0) for scale in (1.0, self.mass))
 
 
 class InertialCheck(NamedTuple):
@@ -81,14 +63,6 @@ def check_inertials(links: Sequence[StatedLink]) -> InertialCheck:
         if placeholders:
             notes = (f"placeholder inertia, used as stated, which makes the robot heavier: {', '.join(placeholders)}",)
     return InertialCheck(masses, coms, inertias, notes)
-
-
-def principal_moments(inertia: FloatArray) -> tuple[float, float, float]:
-    """Return the principal moments of an inertia tensor (3, 3), ascending. Raises ValueError if one is negative."""
-    low, middle, high = np.linalg.eigvalsh(inertia).tolist()
-    if low < -1e-9 * high or high < 0.0:
-        raise ValueError(f"principal moments ({low:.6g}, {middle:.6g}, {high:.6g}) kg m2: must not be negative")
-    return low, middle, high
 
 
 def triangle_error(link: StatedLink) -> str:

@@ -10,12 +10,10 @@ import numpy as np
 import pinocchio as pin
 
 from scara_effmass.iso15066 import robot_mass
-from scara_effmass.model.rotors import RotorInertia
+from scara_effmass.model.description import RotorInertia
 from scara_effmass.settings import LumpingSettings, MonitorSettings
 from scara_effmass.values import FloatArray
 
-PARALLEL = 2e-3
-"""Sine of the angle below which two axes count as parallel, because some files write pi as 3.14."""
 UNKNOWN_EFFORT = 1e9
 """Effort limit from which on none is stated; URDF files write 0 as well."""
 SAMPLES = 64
@@ -35,7 +33,6 @@ class Robot:
     `reach` [m] is the largest distance of `tip` and contact points from the first joint, over the sampled poses.
     """
 
-    name: str
     origin: str
     base_frame: str
     model: pin.Model
@@ -51,6 +48,11 @@ class Robot:
     notes: tuple[str, ...]
     reach: float = 0.0
     units_reason: str = ""
+
+    @property
+    def name(self) -> str:
+        """Name of the robot, as the file states it."""
+        return str(self.model.name)
 
     @property
     def joint_names(self) -> tuple[str, ...]:

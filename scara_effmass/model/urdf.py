@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import reprlib
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -19,10 +19,16 @@ import pinocchio as pin
 
 from scara_effmass.errors import RobotError
 from scara_effmass.input_files import read_text
-from scara_effmass.model.build import add_contact_frame, build_robot, contact_point
-from scara_effmass.model.plausibility import MAX_ANGLE_RAD, StatedLink, principal_moments
-from scara_effmass.model.robot import Robot
-from scara_effmass.model.rotors import RotorInertia, armatures, rotor_inertia
+from scara_effmass.model.description import (
+    MAX_ANGLE_RAD,
+    RobotDescription,
+    RotorInertia,
+    StatedLink,
+    contact_point,
+    inertia_tensor,
+    principal_moments,
+    rotor_inertia,
+)
 from scara_effmass.settings import MonitorSettings
 
 MOVING = ("revolute", "continuous", "prismatic")
@@ -34,30 +40,32 @@ _CONTINUOUS_LIMIT = 1e6
 """Limit [rad] of a continuous joint read as revolute, for which Pinocchio uses one coordinate, as joint_states do."""
 LIGHT_SHARE = 0.1
 """Share of the moving mass below which joints beyond a contact point may be held in the model."""
+_ROTOR_INERTIA = ("rotor_inertia", "motorInertia")
+_REDUCTION = ("gear_ratio", "mechanicalReduction")
+"""Drake's ratio first: its files keep a mechanicalReduction of 1 beside it."""
 _MIN_AXIS_LENGTH = 1e-9
 """Length below which an axis has no direction."""
 
 
-def load_urdf(path: Path, settings: MonitorSettings) -> Robot:
-    """Return the robot of the URDF file at `path`. Raises RobotError."""
+def load_urdf(path: Path, settings: MonitorSettings) -> RobotDescription:
+    """Return what the URDF file at `path` states. Raises RobotError."""
     return parse_urdf(read_text(path, RobotError), str(path), settings)
 
 
-def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> Robot:
-    """Return the robot of the URDF `text`, such as a robot_description; `origin` names it in errors.
+def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> RobotDescription:
+    """Return what the URDF `text`, such as a robot_description, states; `origin` names it in errors.
 
     `settings.contact_points` are links, or points in their frames (default: the tip of the longest chain). The model
     moves the joints from the base through every contact point to its `UrdfTree.tip_beyond`. All other joints, and
     those that match a glob of `settings.locked_joints`, are fixed: the mass behind them counts, their motion does not.
-    `settings.armature` wins over the rotor inertia of the URDF. `build_robot` adds the payload. Raises RobotError.
+    `settings.armature` wins over the rotor inertia of the URDF. Raises RobotError.
     """
     tree = read_urdf(text, origin, settings.locked_joints, settings.position_limits)
     notes = []
-    entries = settings.contact_points
+    entries = tuple(dict.fromkeys(settings.contact_points))
     if not entries:
         entries = (tree.tip(tree.base),)
         notes.append(f"contact point {entries[0]}: the tip of the longest chain (set contact_points for another)")
-    entries = tuple(dict.fromkeys(entries))
     points = [contact_point(entry) for entry in entries]
     # Without a link of its own, a contact point is the link of its name.
     links = [point.link or point.name for point in points]
@@ -73,37 +81,35 @@ def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> Robot:
     if fixed:
         notes.append(f"held fixed in the model: {', '.join(sorted(fixed))}")
     model = _reduced_model(tree, fixed)
+    frames = {name: model.frames[model.getBodyId(name)] for name in tree.links}
     rotors = _rotors(tree, list(model.names)[1:], settings.armature)
-    frames: dict[str, int] = {}
+    placed = []
     for entry, point, link in zip(entries, points, links, strict=True):
-        body = model.frames[model.getBodyId(link)]
-        if body.parentJoint == 0:
+        if frames[link].parentJoint == 0:
             locked = f" (locked: {', '.join(sorted(tree.locked))})" if tree.locked else ""
             raise RobotError(f"{origin}: contact_points = {entry!r}: must not be fixed to the base{locked}")
-        add_contact_frame(model, frames, point.name, body.parentJoint, body.placement, point.at)
-    moving = [link for link in tree.stated if model.frames[model.getBodyId(link.name)].parentJoint > 0]
-    stated = sum(link.mass for link in moving)
-    if not math.isclose(sum(body.mass for body in list(model.inertias)[1:]), stated, rel_tol=1e-9):
-        raise RobotError(f"{origin}: Pinocchio does not read the <inertial> of every link: {stated:g} kg move")
-    end = max((model.frames[model.getBodyId(name)] for name in (*links, *tips)), key=lambda frame: frame.parentJoint)
-    return build_robot(
-        model,
-        origin,
-        settings,
+        pose = frames[link].placement * pin.SE3(np.eye(3), np.array(point.at))
+        placed.append((point.name, frames[link].parentJoint, pose))
+    moving = [link for link in tree.stated if frames[link.name].parentJoint > 0]
+    mass = sum(link.mass for link in moving)
+    if not math.isclose(sum(body.mass for body in list(model.inertias)[1:]), mass, rel_tol=1e-9):
+        raise RobotError(f"{origin}: Pinocchio does not read the <inertial> of every link: {mass:g} kg move")
+    return RobotDescription(
+        origin=origin,
+        base_frame=tree.base,
+        model=model,
         links=moving,
         rotors=rotors,
+        payload_mass=0.0,
+        contact_points=placed,
+        tip=max((frames[name] for name in (*links, *tips)), key=lambda frame: frame.parentJoint).placement,
         notes=notes,
-        file_payload=0.0,
-        contact_frames=frames,
-        tip=end.placement,
-        name=tree.root.get("name", ""),
-        base_frame=tree.base,
     )
 
 
 def _rotors(tree: UrdfTree, joints: Sequence[str], entries: Sequence[str]) -> RotorInertia:
     """Return the rotor inertia of `joints`, with a note on every transmission that states none."""
-    stated, reasons = armatures(tree.root, tree.origin)
+    stated, reasons = _armatures(tree.root, tree.origin)
     matrix = np.diag([stated.get(name, math.nan) for name in joints])
     rotors = rotor_inertia(joints, matrix, "the URDF", entries, tree.origin)
     notes = [
@@ -112,6 +118,55 @@ def _rotors(tree: UrdfTree, joints: Sequence[str], entries: Sequence[str]) -> Ro
         if (names := [name for name in rotors.unstated if reasons.get(name) == reason])
     ]
     return replace(rotors, notes=(*rotors.notes, *notes))
+
+
+def _armatures(root: ET.Element, origin: str) -> tuple[dict[str, float], dict[str, str]]:
+    """Return the armature N^2 J by joint name, and why a transmission gives none, by joint name. Raises RobotError.
+
+    `<dynamics armature=...>` of a joint is N^2 J. A `<transmission>` states the reduction N, and some the rotor inertia
+    J: `<motorInertia>`, or Drake's `<drake:rotor_inertia value=...>` with `<drake:gear_ratio value=...>`.
+    """
+    armature: dict[str, float] = {}
+    reasons: dict[str, str] = {}
+    for joint in root.findall("joint"):
+        dynamics = joint.find("dynamics")
+        if dynamics is not None and "armature" in dynamics.attrib:
+            name = joint.get("name", "")
+            armature[name] = _rotor_number(dynamics.get("armature"), f"{origin}: joint {name}: <dynamics armature>")
+    for transmission in root.findall("transmission"):
+        where = f"{origin}: transmission {transmission.get('name')}"
+        joints = [joint.get("name", "") for joint in transmission.findall("joint")]
+        actuators = transmission.findall("actuator")
+        if len(joints) != 1 or len(actuators) > 1:
+            reasons |= dict.fromkeys(joints, "couples several joints or motors")
+            continue
+        rotor = _first(actuators, _ROTOR_INERTIA, where)
+        if math.isnan(rotor):
+            reasons[joints[0]] = "states no rotor inertia"
+        else:
+            reduction = _first((*actuators, transmission), _REDUCTION, where)
+            armature[joints[0]] = rotor * (1.0 if math.isnan(reduction) else reduction * reduction)
+    return armature, {joint: reason for joint, reason in reasons.items() if joint not in armature}
+
+
+def _first(parents: Iterable[ET.Element], tags: Sequence[str], where: str) -> float:
+    """Return the number in the first child of `parents` named in `tags`, in any namespace; NaN if there is none."""
+    for tag in tags:
+        for parent in parents:
+            for child in parent:
+                if child.tag.rpartition("}")[2] == tag:
+                    return _rotor_number(child.get("value", child.text), f"{where}: <{tag}>")
+    return math.nan
+
+
+def _rotor_number(text: str | None, where: str) -> float:
+    try:
+        value = float(text or "")
+    except ValueError:
+        value = math.nan
+    if not 0.0 <= abs(value) < math.inf:
+        raise RobotError(f"{where} = {text!r}: must be a finite number")
+    return value
 
 
 def _reduced_model(tree: UrdfTree, fixed: set[str]) -> pin.Model:
@@ -334,8 +389,8 @@ def _stated(name: str, link: ET.Element, origin: str) -> list[StatedLink]:
     (mass_kg,) = _numbers(mass, "value", where, 1)
     if mass_kg < 0.0:
         raise RobotError(f"{where}: mass = {mass_kg:g}: must not be negative")
-    xx, xy, xz, yy, yz, zz = (_numbers(inertia, key, where, 1)[0] for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
-    tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    keys = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+    tensor = inertia_tensor([_numbers(inertia, key, where, 1)[0] for key in keys])
     try:
         principal_moments(tensor)
     except ValueError as error:

@@ -12,7 +12,7 @@ from geometry_msgs.msg import Point, Quaternion, Vector3
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker
 
-from scara_effmass.model.pose_geometry import PoseGeometry, mass_ellipsoid, quaternion
+from scara_effmass.model.poses import PoseGeometry, mass_ellipsoid, quaternion
 from scara_effmass.reference.mobility import Mobility
 from scara_effmass.values import (
     NO_MOBILITY,

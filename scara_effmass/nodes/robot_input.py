@@ -6,7 +6,7 @@ from collections.abc import Callable
 from std_msgs.msg import String
 
 from scara_effmass.errors import EffmassError, SettingsError
-from scara_effmass.model.load import load_robot
+from scara_effmass.model.load import build_robot, load_robot
 from scara_effmass.model.robot import Robot
 from scara_effmass.model.urdf import parse_urdf
 from scara_effmass.nodes.lifecycle import LifecycleBase
@@ -36,7 +36,7 @@ def use_robot(
 
     def on_description(message: String) -> None:
         try:
-            use(parse_urdf(message.data, "robot_description", settings()))
+            use(build_robot(parse_urdf(message.data, "robot_description", settings()), settings()))
         except EffmassError as error:
             refuse(str(error))
             node.get_logger().error(str(error))

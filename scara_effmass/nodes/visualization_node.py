@@ -16,7 +16,7 @@ from scara_effmass import values
 from scara_effmass.cell.status import CellStatus
 from scara_effmass.codes import Reason
 from scara_effmass.errors import DecodeError
-from scara_effmass.model.pose_geometry import pose_geometry
+from scara_effmass.model.poses import pose_geometry
 from scara_effmass.model.robot import Robot
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.lifecycle import LifecycleBase, run

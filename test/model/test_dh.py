@@ -14,7 +14,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from scara_effmass.errors import RobotError
-from scara_effmass.model.dh import load_dh
 from scara_effmass.model.load import load_robot
 from scara_effmass.model.robot import Robot
 from scara_effmass.reference import RobotDynamics
@@ -51,11 +50,11 @@ def test_limits_by_option_replace_those_of_the_file(omron_rows: dict[str, Any], 
     put(omron_rows, "joints.1.upper", -9.0)
     path = tmp_path / "robot.yaml"
     path.write_text(yaml.safe_dump(omron_rows), encoding="utf-8")
-    robot = load_dh(path, MonitorSettings(joint_limits=("joint1=-1 2", "joint2=-0.5 0.5")))
+    robot = load_robot(path, MonitorSettings(joint_limits=("joint1=-1 2", "joint2=-0.5 0.5")))
     assert robot.model.lowerPositionLimit.tolist()[:2] == [-1.0, -0.5]
     assert robot.model.upperPositionLimit.tolist()[:2] == [2.0, 0.5]
     with pytest.raises(RobotError, match="joint_limits = 'joint5': must be joint"):
-        load_dh(OMRON, MonitorSettings(joint_limits=("joint5=-1 2",)))
+        load_robot(OMRON, MonitorSettings(joint_limits=("joint5=-1 2",)))
 
 
 def test_samples_cover_the_joint_limits(omron_rows: dict[str, Any], load_rows: Callable[[object], Robot]) -> None:
@@ -74,12 +73,12 @@ def test_contact_points_can_be_selected(omron_rows: dict[str, Any], tmp_path: Pa
     omron_rows["contact_points"] = {"tool": [0, 0, 0], "edge": [0.1, 0, 0], "corner": [0.1, 0.1, 0]}
     path = tmp_path / "robot.yaml"
     path.write_text(yaml.safe_dump(omron_rows))
-    assert list(load_dh(path, MonitorSettings(contact_points=("edge", "tool", "edge"))).contact_frames) == [
+    assert list(load_robot(path, MonitorSettings(contact_points=("edge", "tool", "edge"))).contact_frames) == [
         "edge",
         "tool",
     ]
     with pytest.raises(RobotError, match=r"robot\.yaml: contact_points = 'elbow': must be one of"):
-        load_dh(path, MonitorSettings(contact_points=("elbow",)))
+        load_robot(path, MonitorSettings(contact_points=("elbow",)))
 
 
 @pytest.mark.parametrize(

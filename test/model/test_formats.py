@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 
 from scara_effmass.codes import ModelCode
 from scara_effmass.errors import RobotError
-from scara_effmass.model.dh import load_dh
-from scara_effmass.model.load import load_robot
+from scara_effmass.model.load import build_robot, load_robot
 from scara_effmass.model.robot import Robot
 from scara_effmass.model.urdf import parse_urdf
 from scara_effmass.reference import RobotDynamics
@@ -93,10 +92,10 @@ def both(rows: dict[str, Any], directory: Path, **options: object) -> tuple[Robo
         f"tool=dh{len(rows['joints'])}: {' '.join(map(repr, tool))}",
         f"elbow=link{elbow['link']}: {' '.join(map(repr, elbow['at']))}",
     )
-    urdf_options = {"contact_points": points, "tool_links": ("grip*",), **options}
+    urdf_settings = MonitorSettings.model_validate({"contact_points": points, "tool_links": ("grip*",), **options})
     return (
-        load_dh(path, MonitorSettings.model_validate(options)),
-        parse_urdf(as_urdf(rows), "arm.urdf", MonitorSettings.model_validate(urdf_options)),
+        load_robot(path, MonitorSettings.model_validate(options)),
+        build_robot(parse_urdf(as_urdf(rows), "arm.urdf", urdf_settings), urdf_settings),
     )
 
 
@@ -152,14 +151,14 @@ def test_payload_of_the_settings_equals_that_of_the_file(tmp_path: Path, seed: i
     path = tmp_path / "bare.yaml"
     path.write_text(yaml.safe_dump(rows, sort_keys=False), encoding="utf-8")
     options = {"payload_mass": load["mass"], "payload_com": load["com"], "payload_inertia": load["inertia"]}
-    robot = load_dh(path, MonitorSettings.model_validate(options))
+    robot = load_robot(path, MonitorSettings.model_validate(options))
     assert robot.payload_mass == pytest.approx(load["mass"])
     assert robot.iso_mass == pytest.approx(stated.iso_mass)
     q = stated.sample_configurations()[0]
     expected, matrix = (r.mass_matrix(r.model, r.model.createData(), q) for r in (stated, robot))
     np.testing.assert_allclose(matrix, expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max())
     assert not any("point mass" in note for note in robot.notes)
-    point = load_dh(path, MonitorSettings(payload_mass=load["mass"]))
+    point = load_robot(path, MonitorSettings(payload_mass=load["mass"]))
     assert any("point mass" in note for note in point.notes)
 
 

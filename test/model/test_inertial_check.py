@@ -4,7 +4,8 @@
 import numpy as np
 import pytest
 
-from scara_effmass.model.plausibility import StatedLink, check_inertials
+from scara_effmass.model.description import StatedLink
+from scara_effmass.model.plausibility import check_inertials
 
 
 def link(name: str, mass: float = 1.0, inertia: float = 1.0) -> StatedLink:

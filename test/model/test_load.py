@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from scara_effmass.errors import RobotError
-from scara_effmass.model.build import contact_point
+from scara_effmass.model.description import contact_point
 from scara_effmass.model.load import load_robot
 from scara_effmass.settings import MonitorSettings
 

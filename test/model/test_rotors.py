@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from scara_effmass.errors import RobotError
-from scara_effmass.model.load import load_robot
+from scara_effmass.model.load import build_robot, load_robot
 from scara_effmass.model.robot import Robot
 from scara_effmass.model.urdf import parse_urdf
 from scara_effmass.reference import RobotDynamics
@@ -229,6 +229,11 @@ def transmission(joint: str, actuator: str, outside: str = "") -> str:
     )
 
 
+def urdf_robot(text: str, **options: object) -> Robot:
+    settings = MonitorSettings.model_validate(options)
+    return build_robot(parse_urdf(text, "arm.urdf", settings), settings)
+
+
 class TestTransmission:
     @pytest.mark.parametrize(
         ("inside", "outside", "expected"),
@@ -252,19 +257,19 @@ class TestTransmission:
     def test_armature_is_the_rotor_inertia_times_the_squared_reduction(
         self, inside: str, outside: str, expected: float
     ) -> None:
-        robot = parse_urdf(arm(transmission("j1", inside, outside)), "arm.urdf", MonitorSettings())
+        robot = urdf_robot(arm(transmission("j1", inside, outside)))
         assert robot.model.armature.tolist() == pytest.approx([expected, 0.0], rel=1e-12)
         assert f"rotor inertia from the URDF: j1 {expected:.4g}" in robot.notes
         assert robot.rotors.unstated == ("j2",)
 
     def test_option_wins(self) -> None:
         text = arm(transmission("j1", "<motorInertia>0.2</motorInertia>"))
-        robot = parse_urdf(text, "arm.urdf", MonitorSettings(armature=("j1=0.7",)))
+        robot = urdf_robot(text, armature=("j1=0.7",))
         assert robot.model.armature.tolist() == [0.7, 0.0]
         assert "rotor inertia from the setting armature: j1 0.7" in robot.notes
 
     def test_dynamics_state_the_reflected_inertia(self) -> None:
-        robot = parse_urdf(arm("", '<dynamics armature="0.3"/>'), "arm.urdf", MonitorSettings())
+        robot = urdf_robot(arm("", '<dynamics armature="0.3"/>'))
         assert robot.model.armature.tolist() == [0.3, 0.3]
 
     def test_transmission_without_rotor_inertia_is_named(self, load_urdf_file: Callable[..., Robot]) -> None:
@@ -276,21 +281,21 @@ class TestTransmission:
 
     def test_differential_is_named(self) -> None:
         text = arm('<transmission name="t"><joint name="j1"/><joint name="j2"/><actuator name="a"/></transmission>')
-        notes = parse_urdf(text, "arm.urdf", MonitorSettings()).notes
+        notes = urdf_robot(text).notes
         assert "<transmission> of j1, j2 couples several joints or motors" in notes
 
     @pytest.mark.parametrize("number", ["heavy", "nan", "inf", "", "-1"])
     def test_wrong_number_raises(self, number: str) -> None:
         text = arm(transmission("j1", f"<motorInertia>{number}</motorInertia>"))
         with pytest.raises(RobotError, match=r"arm\.urdf: "):
-            parse_urdf(text, "arm.urdf", MonitorSettings())
+            urdf_robot(text)
 
     def test_reduction_whose_square_overflows_raises(self) -> None:
         text = arm(
             transmission("j1", "<motorInertia>1e-4</motorInertia><mechanicalReduction>1e200</mechanicalReduction>")
         )
         with pytest.raises(RobotError, match=r"arm\.urdf: rotor inertia: must be at most 1e\+06"):
-            parse_urdf(text, "arm.urdf", MonitorSettings())
+            urdf_robot(text)
 
 
 class TestPublishedArms:

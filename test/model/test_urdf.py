@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scara_effmass.errors import RobotError
+from scara_effmass.model.load import build_robot
 from scara_effmass.model.lumping import is_scara
 from scara_effmass.model.robot import Robot
 from scara_effmass.model.urdf import load_urdf, parse_urdf
@@ -55,7 +56,8 @@ SCARA = f'<robot name="scara">{"".join(PARTS)}</robot>'
 
 def parse(text: str = SCARA, **options: object) -> Robot:
     """Parse a URDF with the monitor settings `options`."""
-    return parse_urdf(text, "scara.urdf", MonitorSettings.model_validate(options))
+    settings = MonitorSettings.model_validate(options)
+    return build_robot(parse_urdf(text, "scara.urdf", settings), settings)
 
 
 def with_more(*parts: str) -> str:

@@ -14,7 +14,7 @@ from std_msgs.msg import String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from scara_effmass.model.load import load_robot
-from scara_effmass.model.pose_geometry import pose_geometry
+from scara_effmass.model.poses import pose_geometry
 from scara_effmass.nodes.visualization_node import VisualizationNode
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Assessments, unknown_contact

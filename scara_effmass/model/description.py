@@ -1,35 +1,49 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Inertia of rotors and gears reflected to the joints, from the robot file and the setting `armature`.
+"""What a robot file states, whatever its format.
 
-The matrix B (n, n) is added to M(q). Its diagonal is the armature N^2 J of each joint (reduction N, rotor inertia J).
-Off-diagonal terms belong to geared chains in which a motor turns with more than one joint: B = T^T J T, with T the
-velocities of the motors per joint velocity.
-
-A URDF's `<transmission>` states the reduction, and some robots the rotor inertia beside it: `<motorInertia>`, or
-Drake's `<drake:rotor_inertia value=...>` with `<drake:gear_ratio value=...>`. `<dynamics armature=...>` of a joint is
-the reflected inertia itself.
+The inertia B (n, n) of the rotors is added to M(q). Its diagonal is the armature N^2 J of each joint (reduction N,
+rotor inertia J). Off-diagonal terms belong to geared chains in which a motor turns with more than one joint:
+B = T^T J T, with T the velocities of the motors per joint velocity.
 """
 
 import math
-import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
+import pinocchio as pin
 import yaml
 
 from scara_effmass.errors import RobotError
 from scara_effmass.share import share
-from scara_effmass.values import FloatArray
+from scara_effmass.values import FloatArray, Vector3
 
-_RULE = "must be joint=value (0 or more), joint1,joint2=value"
+PARALLEL = 2e-3
+"""Sine of the angle below which two axes count as parallel, because some files write pi as 3.14."""
+MAX_ANGLE_RAD = 7.0
+"""Fixed angle that is certainly not in radians: it exceeds one turn."""
+_ARMATURE_RULE = "must be joint=value (0 or more), joint1,joint2=value"
+_MAX_ROTOR_INERTIA = 1e6
+"""Largest rotor inertia that is not a typing error."""
 
-_MAX_INERTIA = 1e6
-"""Largest inertia that is not a typing error."""
-_ROTOR_INERTIA = ("rotor_inertia", "motorInertia")
-_REDUCTION = ("gear_ratio", "mechanicalReduction")
-"""Drake's ratio first: its files keep a mechanicalReduction of 1 beside it."""
+
+class StatedLink(NamedTuple):
+    """Inertial data of one moving link as stated in the file, before fixed links and payload are added.
+
+    `com` (3,) [m] and `inertia` (3, 3) [kg m2] about it are in the axes that the file uses.
+    """
+
+    name: str
+    mass: float
+    com: FloatArray
+    inertia: FloatArray
+
+    @property
+    def placeholder(self) -> bool:
+        """Whether the inertia is the identity, or the mass times it, which no link of a robot has."""
+        return any(np.allclose(self.inertia, scale * np.eye(3), rtol=1e-6, atol=0.0) for scale in (1.0, self.mass))
 
 
 @dataclass(frozen=True)
@@ -52,6 +66,61 @@ class RotorInertia:
             return ""
         names = ", ".join(self.unstated)
         return f"no rotor inertia for {names}: the masses are a lower bound if the drives are back-driven"
+
+
+@dataclass(frozen=True, slots=True)
+class RobotDescription:
+    """Kinematics and inertial data of one serial robot, without the load of the settings.
+
+    `model` has one degree of freedom per joint; its bodies include the payload of the file, `payload_mass` [kg], but no
+    rotors. `contact_points` are names with the joint that moves each point and its pose in the frame of that joint.
+    `tip` is the end of the last link in the last joint's frame. `origin` names the file in errors.
+    """
+
+    origin: str
+    base_frame: str
+    model: pin.Model
+    links: Sequence[StatedLink]
+    rotors: RotorInertia
+    payload_mass: float
+    contact_points: Sequence[tuple[str, int, pin.SE3]]
+    tip: pin.SE3
+    notes: Sequence[str]
+
+
+class ContactPoint(NamedTuple):
+    """A point to watch: `at` [m] in the frame of `link`; an empty `link` leaves both to the robot file."""
+
+    name: str
+    link: str
+    at: Vector3
+
+
+def contact_point(entry: str) -> ContactPoint:
+    """Return the contact point of `entry`: "name", "name=link", or "name=link: x y z" [m]. Raises RobotError."""
+    name, equals, place = entry.partition("=")
+    link, text = place.rsplit(":", 1) if ":" in place else (place, "0 0 0")
+    try:
+        at = tuple(float(word) for word in text.split())
+    except ValueError:
+        at = ()
+    if not name or bool(equals) > bool(link.strip()) or len(at) != 3 or not all(map(math.isfinite, at)):
+        raise RobotError(f"contact_points = {entry!r}: must be NAME or NAME=LINK: X Y Z, in metres")
+    return ContactPoint(name.strip(), link.strip(), at)
+
+
+def inertia_tensor(entries: Sequence[float]) -> FloatArray:
+    """Return the tensor (3, 3) of `entries` ixx, iyy, izz, ixy, ixz, iyz."""
+    ixx, iyy, izz, ixy, ixz, iyz = entries
+    return np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
+
+
+def principal_moments(inertia: FloatArray) -> tuple[float, float, float]:
+    """Return the principal moments of an inertia tensor (3, 3), ascending. Raises ValueError if one is negative."""
+    low, middle, high = np.linalg.eigvalsh(inertia).tolist()
+    if low < -1e-9 * high or high < 0.0:
+        raise ValueError(f"principal moments ({low:.6g}, {middle:.6g}, {high:.6g}) kg m2: must not be negative")
+    return low, middle, high
 
 
 def rotor_inertia(
@@ -80,8 +149,8 @@ def rotor_inertia(
             sources[i] = "the setting armature"
     unstated = tuple(joints[i] for i in range(len(joints)) if i not in sources)
     matrix = np.nan_to_num(matrix)
-    if np.abs(matrix).max(initial=0.0) > _MAX_INERTIA:
-        raise RobotError(f"{origin}: rotor inertia: must be at most {_MAX_INERTIA:g} kg m2 or kg")
+    if np.abs(matrix).max(initial=0.0) > _MAX_ROTOR_INERTIA:
+        raise RobotError(f"{origin}: rotor inertia: must be at most {_MAX_ROTOR_INERTIA:g} kg m2 or kg")
     lowest = float(np.linalg.eigvalsh(matrix).min(initial=0.0))
     if lowest < -1e-9 * np.trace(matrix):
         raise RobotError(
@@ -106,7 +175,7 @@ def _parsed(entry: str, joints: Sequence[str], origin: str) -> tuple[int, int, f
     except ValueError:
         value = math.nan
     if not math.isfinite(value) or (len(pair) == 1 and value < 0.0) or len(pair) > 2 or len(set(pair)) < len(pair):
-        raise RobotError(f"armature = {entry!r}: {_RULE} or the name of a published arm")
+        raise RobotError(f"armature = {entry!r}: {_ARMATURE_RULE} or the name of a published arm")
     for name in pair:
         if name not in joints:
             raise RobotError(f"{origin}: armature = {entry!r}: joint must be one of {', '.join(joints)}")
@@ -118,53 +187,8 @@ def _published(name: str, count: int, origin: str) -> tuple[list[float], str]:
     """Return the published armatures of the arm `name`, which must have `count` joints, and their source."""
     table = yaml.safe_load(share("config", "armatures.yaml").read_text(encoding="utf-8"))
     if name not in table:
-        raise RobotError(f"armature = {name!r}: {_RULE} or one of {', '.join(table)}")
+        raise RobotError(f"armature = {name!r}: {_ARMATURE_RULE} or one of {', '.join(table)}")
     arm = table[name]
     if len(arm["armature"]) != count:
         raise RobotError(f"{origin}: armature = {name!r}: must be for {count} joints, not {len(arm['armature'])}")
     return arm["armature"], f"{name} ({arm['source']}: {arm['note']})"
-
-
-def armatures(root: ET.Element, origin: str) -> tuple[dict[str, float], dict[str, str]]:
-    """Return the armature N^2 J by joint name, and why a transmission gives none, by joint name. Raises RobotError."""
-    armature: dict[str, float] = {}
-    reasons: dict[str, str] = {}
-    for joint in root.findall("joint"):
-        dynamics = joint.find("dynamics")
-        if dynamics is not None and "armature" in dynamics.attrib:
-            name = joint.get("name", "")
-            armature[name] = _number(dynamics.get("armature"), f"{origin}: joint {name}: <dynamics armature>")
-    for transmission in root.findall("transmission"):
-        where = f"{origin}: transmission {transmission.get('name')}"
-        joints = [joint.get("name", "") for joint in transmission.findall("joint")]
-        actuators = transmission.findall("actuator")
-        if len(joints) != 1 or len(actuators) > 1:
-            reasons |= dict.fromkeys(joints, "couples several joints or motors")
-            continue
-        rotor = _first(actuators, _ROTOR_INERTIA, where)
-        if math.isnan(rotor):
-            reasons[joints[0]] = "states no rotor inertia"
-        else:
-            reduction = _first((*actuators, transmission), _REDUCTION, where)
-            armature[joints[0]] = rotor * (1.0 if math.isnan(reduction) else reduction * reduction)
-    return armature, {joint: reason for joint, reason in reasons.items() if joint not in armature}
-
-
-def _first(parents: Iterable[ET.Element], tags: Sequence[str], where: str) -> float:
-    """Return the number in the first child of `parents` named in `tags`, in any namespace; NaN if there is none."""
-    for tag in tags:
-        for parent in parents:
-            for child in parent:
-                if child.tag.rpartition("}")[2] == tag:
-                    return _number(child.get("value", child.text), f"{where}: <{tag}>")
-    return math.nan
-
-
-def _number(text: str | None, where: str) -> float:
-    try:
-        value = float(text or "")
-    except ValueError:
-        value = math.nan
-    if not 0.0 <= abs(value) < math.inf:
-        raise RobotError(f"{where} = {text!r}: must be a finite number")
-    return value

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Drawings show the robot: forward kinematics, masses that balance, ellipsoids and normals by their definitions."""
+"""Drawings show the robot: forward kinematics, masses that balance, ellipsoids and normals by their definitions.
+
+Poses of many configurations are those of Pinocchio, one at a time.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +16,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scara_effmass.model.load import load_robot
-from scara_effmass.model.pose_geometry import mass_ellipsoid, pose_geometry, quaternion, rotation_to
+from scara_effmass.model.poses import ManyPoses, mass_ellipsoid, pose_geometry, quaternion, rotation_to
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.reference.mobility import effective_mass
+from scara_effmass.settings import MonitorSettings
+from scara_effmass.share import share
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -115,3 +120,21 @@ def test_rotation_and_quaternion_turn_z_to_the_direction(n: tuple[float, float, 
 
 
 OMRON = RobotDynamics(load_robot())
+
+
+@pytest.mark.parametrize("name", ["omron_i4_550l.yaml", "robots/ur5_robot.urdf", "robots/panda.urdf"])
+def test_positions_jacobians_and_directions_are_those_of_pinocchio(name: str) -> None:
+    settings = MonitorSettings(robot=str(share("config", *name.split("/"))))
+    dynamics = RobotDynamics(load_robot(settings.robot_path, settings))
+    robot = dynamics.robot
+    q = robot.sample_configurations(50)
+    poses = ManyPoses(robot, q)
+    states = [dynamics.at(row) for row in q]
+    for index, (_, frame, _) in enumerate(dynamics.contacts):
+        contacts = [state.contacts[index] for state in states]
+        np.testing.assert_allclose(poses.position(frame), [contact.position for contact in contacts], atol=1e-14)
+        np.testing.assert_allclose(poses.jacobian(frame), [contact.jacobian for contact in contacts], atol=1e-14)
+    direction = (0.0, 0.6, -0.8)
+    for name_of_frame in dict.fromkeys(("", robot.base_frame, *(frame.name for frame in robot.model.frames))):
+        expected = np.array([state.in_base(direction, name_of_frame) for state in states])
+        np.testing.assert_allclose(poses.in_base(direction, name_of_frame), expected, atol=1e-14)
