@@ -143,7 +143,9 @@ def _complete_file(path: Path) -> BagFile | None:
 
 def _update_metadata(folder: Path, files: Sequence[FileRepair], contents: Sequence[BagFile]) -> bool:
     """Write metadata.yaml unless there is a correct one; return whether it was written."""
-    information = read_metadata(folder, LossLog())
+    information: dict[str, object] = {}
+    with suppress(OSError):
+        information = read_metadata(folder, LossLog())
     names, count = [file.path.name for file in files], sum(file.messages for file in files)
     is_correct = information.get("relative_file_paths") == names and information.get("message_count") == count
     if is_correct and all(file.intact for file in files):
