@@ -26,8 +26,7 @@ from usage import cpu_s, resident_mb
 
 from scara_effmass.bags.definitions import known_types
 from scara_effmass.bags.files import open_bag
-from scara_effmass.bags.recorder import BagRecorder
-from scara_effmass.bags.split_writer import RecorderOptions
+from scara_effmass.bags.recorder import BagRecorder, RecorderOptions
 from scara_effmass.values import JointState
 from scara_effmass.wire.joint_state import joint_state_message
 from scara_effmass.wire.message_types import JOINT_STATE

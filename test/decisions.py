@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 
 from scara_effmass.analysis.assessment import AssessedStates, Source
-from scara_effmass.bags.batches import IntArray
-from scara_effmass.bags.joint_state_blocks import JointStateBlock
+from scara_effmass.bags.batches import IntArray, JointStateBlock
 from scara_effmass.codes import Reason
 from scara_effmass.kernel.records import CONTACT, FIELDS
 from scara_effmass.kernel.state import CODE, DETAIL, STATE

@@ -19,9 +19,8 @@ from typing import NamedTuple
 import numpy as np
 
 from scara_effmass.bags.bag import Bag, first_run_info
-from scara_effmass.bags.batches import IntArray
+from scara_effmass.bags.batches import IntArray, JointStateBlock
 from scara_effmass.bags.files import open_bag
-from scara_effmass.bags.joint_state_blocks import JointStateBlock
 from scara_effmass.codes import Reason
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.safety import Assessments, Monitor

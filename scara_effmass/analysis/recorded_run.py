@@ -19,8 +19,7 @@ from scara_effmass.bags.files import open_bag
 from scara_effmass.errors import BagError, DecodeError, SettingsError
 from scara_effmass.impacts.detector import Detector
 from scara_effmass.impacts.impact_matcher import check_run_info
-from scara_effmass.importers import IMPORTERS
-from scara_effmass.importers.force import import_force
+from scara_effmass.importers.force import IMPORTERS, import_force
 from scara_effmass.settings import DetectionSettings, ImportSettings
 from scara_effmass.values import NAN, FloatArray, ForceBlock, Impact, RunInfo
 from scara_effmass.wire.cdr import NS

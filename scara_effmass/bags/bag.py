@@ -13,9 +13,16 @@ from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
 from rosbags.typesys.store import Typestore
 from typing_extensions import Self
 
-from scara_effmass.bags.batches import MAX_TIME_NS, LossLog, MessageBatch, Topic, merged_topics
+from scara_effmass.bags.batches import (
+    MAX_TIME_NS,
+    BlockDecoder,
+    JointStateBlock,
+    LossLog,
+    MessageBatch,
+    Topic,
+    merged_topics,
+)
 from scara_effmass.bags.definitions import check_definition, types_of
-from scara_effmass.bags.joint_state_blocks import BlockDecoder, JointStateBlock
 from scara_effmass.errors import BagError, DecodeError
 from scara_effmass.values import ForceBlock, Impact, RunInfo
 from scara_effmass.wire.force import decode_force_block, decode_impact

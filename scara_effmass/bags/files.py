@@ -1,41 +1,35 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags as files: find and open them, write metadata.yaml as rosbag2 does, and check an output folder."""
+"""Find and open bags; rosbags reads all formats but MCAP: SQLite, compressed rosbag2 and ROS 1."""
 
-import fcntl
-import os
+import heapq
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import ExitStack
+from functools import partial
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
 import yaml
+from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinitionFormat
 from rosbags.rosbag1 import Reader as Ros1Reader
 from rosbags.rosbag2 import Reader as Ros2Reader
 
-from scara_effmass.bags.bag import Bag
-from scara_effmass.bags.batches import LossLog, Topic, merged_topics
-from scara_effmass.bags.mcap_bag import McapBag
-from scara_effmass.bags.mcap_copy import MAGIC
-from scara_effmass.bags.rosbags_bag import RosbagsBag
-from scara_effmass.errors import BagError, OutputError
+from scara_effmass.bags.bag import Bag, StoredTopic, one_line
+from scara_effmass.bags.batches import LossLog, MessageBatch, Topic, batch_of
+from scara_effmass.bags.mcap_bag import MAGIC, McapBag
+from scara_effmass.errors import BagError
 from scara_effmass.input_files import YAML_ERRORS
 from scara_effmass.url import Url, local_file
+
+Reader = Ros1Reader | Ros2Reader
 
 SUFFIXES = {".mcap", ".db3", ".bag"}
 METADATA = "metadata.yaml"
 SPLIT_NAME = re.compile(r"(?P<name>.+)_(?P<number>\d+)\.(?P<suffix>mcap|db3)")
 """Name of a file in a rosbag2 folder."""
-ROSBAG2_VERSION = 9
-"""Metadata version of ROS 2 Jazzy."""
-
-FORMATS: dict[bytes, Callable[[Path, Sequence[Path], LossLog], Bag]] = {
-    MAGIC: McapBag,
-    b"SQLite format 3\0": lambda path, paths, losses: RosbagsBag(path, [*map(local_file, paths)], losses, Ros2Reader),
-    b"#ROSBAG V": lambda path, paths, losses: RosbagsBag(path, [*map(local_file, paths)], losses, Ros1Reader),
-}
-"""Readers by the first bytes of a file."""
+BATCH_MESSAGES = 1000
+BATCH_BYTES = 1 << 20
 
 
 def find_bags(path: Path) -> list[Path]:
@@ -116,7 +110,7 @@ def _open_files(bag: Path, paths: Sequence[Path], losses: LossLog) -> Bag:
 
 
 def _open_folder(folder: Path, losses: LossLog) -> Bag:
-    metadata = _read_metadata(folder, losses)
+    metadata = read_metadata(folder, losses)
     present = bag_files(folder)
     if metadata.get("compression_mode"):
         if isinstance(folder, Url):
@@ -159,7 +153,7 @@ def _continues(path: Path, named: Sequence[Path]) -> bool:
     )
 
 
-def _read_metadata(folder: Path, losses: LossLog) -> dict[str, Any]:
+def read_metadata(folder: Path, losses: LossLog) -> dict[str, Any]:
     """Return the content of metadata.yaml; empty if it is unusable."""
     path = folder / METADATA
     try:
@@ -175,138 +169,96 @@ def _read_metadata(folder: Path, losses: LossLog) -> dict[str, Any]:
     return information
 
 
-def qos_yaml(profiles: Iterable[Mapping[str, object]]) -> str:
-    """Return QoS profiles (with rosbag2's keys) in rosbag2's YAML; empty if there are none."""
-    profiles = [dict(profile) for profile in profiles]
-    return yaml_text(profiles) if profiles else ""
+class RosbagsBag(Bag):
+    """A bag of files that are each read by rosbags."""
 
+    def __init__(self, path: Path, paths: Sequence[Path], losses: LossLog, make_reader: type[Reader]) -> None:
+        with ExitStack() as stack:
+            self._readers = [(file, _open_reader(file, make_reader, stack)) for file in paths]
+            self._stack = stack.pop_all()
+        super().__init__(path, list(self._stored_topics()), losses, is_ros1=make_reader is Ros1Reader)
+        nonempty = [reader for _, reader in self._readers if reader.message_count]
+        self.start_ns = min((reader.start_time for reader in nonempty), default=0)
+        self.end_ns = max((reader.end_time - 1 for reader in nonempty), default=0)
 
-@dataclass(frozen=True, slots=True)
-class BagFile:
-    """One file of a bag as the metadata describes it; times are log times [ns], 0 if there are no messages."""
+    def batches(self, topics: Collection[int], start_ns: int, stop_ns: int) -> Iterator[MessageBatch]:
+        """See `Bag`."""
+        streams = [self._messages(path, reader, topics, start_ns, stop_ns) for path, reader in self._readers]
+        merged = heapq.merge(*streams, key=itemgetter(0))
+        messages: list[tuple[int, int, bytes]] = []
+        size = 0
+        for message in merged:
+            messages.append(message)
+            size += len(message[2])
+            if len(messages) == BATCH_MESSAGES or size > BATCH_BYTES:
+                yield _batch(messages)
+                messages, size = [], 0
+        if messages:
+            yield _batch(messages)
 
-    name: str
-    start_ns: int
-    end_ns: int
-    topics: tuple[Topic, ...]
+    def close(self) -> None:
+        """See `Bag`."""
+        self._stack.close()
 
-    @property
-    def count(self) -> int:
-        """Messages of all topics."""
-        return sum(topic.count for topic in self.topics)
+    def _stored_topics(self) -> Iterator[StoredTopic]:
+        for path, connection in ((path, c) for path, reader in self._readers for c in reader.connections):
+            topic = Topic(connection.topic, connection.msgtype, connection.msgcount, connection.digest)
+            ext = connection.ext
+            encoding = ext.serialization_format if isinstance(ext, ConnectionExtRosbag2) else "cdr"
+            has_definition = connection.msgdef.format != MessageDefinitionFormat.NONE
+            yield StoredTopic(path, topic, encoding, connection.msgdef if has_definition else None)
 
-
-def metadata(files: Sequence[BagFile], custom_data: Mapping[str, str] | None = None) -> dict[str, Any]:
-    """Return the metadata of a bag of these files."""
-    nonempty = [file for file in files if file.count]
-    start_ns = min((file.start_ns for file in nonempty), default=0)
-    end_ns = max((file.end_ns for file in nonempty), default=0)
-    return {
-        "version": ROSBAG2_VERSION,
-        "storage_identifier": "mcap",
-        "duration": {"nanoseconds": end_ns - start_ns},
-        "starting_time": {"nanoseconds_since_epoch": start_ns},
-        "message_count": sum(file.count for file in files),
-        "topics_with_message_count": [
-            {
-                "topic_metadata": {
-                    "name": topic.name,
-                    "type": topic.type,
-                    "serialization_format": "cdr",
-                    "offered_qos_profiles": _parse_profiles(topic.offered_qos),
-                    "type_description_hash": topic.type_hash,
-                },
-                "message_count": topic.count,
-            }
-            for topic in merged_topics(topic for file in files for topic in file.topics)
-        ],
-        "compression_format": "",
-        "compression_mode": "",
-        "relative_file_paths": [file.name for file in files],
-        "files": [
-            {
-                "path": file.name,
-                "starting_time": {"nanoseconds_since_epoch": file.start_ns},
-                "duration": {"nanoseconds": file.end_ns - file.start_ns},
-                "message_count": file.count,
-            }
-            for file in files
-        ],
-        "custom_data": dict(custom_data) if custom_data else None,
-        "ros_distro": "jazzy",
-    }
-
-
-def write_metadata(folder: Path, files: Sequence[BagFile], custom_data: Mapping[str, str] | None = None) -> None:
-    """Write metadata.yaml; an older one is replaced once the new one is on the disk. Raises OSError."""
-    unfinished = folder / f".{METADATA}.new"
-    with unfinished.open("w", encoding="utf-8") as output:
-        output.write(yaml_text({"rosbag2_bagfile_information": metadata(files, custom_data)}))
-        output.flush()
-        os.fsync(output.fileno())
-    unfinished.replace(folder / METADATA)
-    sync_folder(folder)
-
-
-def sync_folder(folder: Path) -> None:
-    """Synchronise the names in `folder` to the disk, if the file system supports it. Raises OSError."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        with suppress(OSError):
-            os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
-def check_output(path: Path, *, overwrite: bool) -> None:
-    """Raise OutputError if a bag must not be written to `path`, a file if it ends in .mcap, otherwise a folder.
-
-    With `overwrite`, a bag of the same kind is replaced, even that of a killed recorder, unless it is being recorded.
-    """
-    if not path.exists():
-        return
-    if not overwrite:
-        raise OutputError(f"{path}: already exists; use --force to replace it")
-    try:
-        is_replaceable = path.is_file() if path.suffix == ".mcap" else _is_only_a_bag(path)
-        is_busy = is_replaceable and any(map(is_being_written, bag_files(path) if path.is_dir() else [path]))
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be read: {error.strerror}") from None
-    if not is_replaceable:
-        raise OutputError(f"{path}: is not a bag of this kind and is not replaced")
-    if is_busy:
-        raise OutputError(f"{path}: is being recorded; stop the recorder first")
-
-
-def is_being_written(path: Path) -> bool:
-    """Return whether a recorder has the file open. Raises OSError."""
-    with path.open("rb") as file:
+    def _messages(
+        self, path: Path, reader: Reader, topics: Collection[int], start_ns: int, stop_ns: int
+    ) -> Iterator[tuple[int, int, bytes]]:
+        connections = [c for c in reader.connections if self._topic_indices.get((c.topic, c.msgtype)) in topics]
+        if not connections:
+            return
         try:
-            fcntl.flock(file.fileno(), fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return True
-        except OSError:  # this file system has no locks
-            return False
-    return False
+            rows: Iterator[tuple[Connection, Any, Any]] = reader.messages(connections, start_ns, stop_ns)
+            for connection, log_time_ns, stored in rows:
+                if not isinstance(log_time_ns, int) or not isinstance(stored, bytes):  # SQLite checks no types
+                    self._losses.add(f"{path}: {connection.topic}: left out messages without a time or data")
+                    continue
+                data = self._cdr(path, connection, stored)
+                if data:
+                    yield log_time_ns, self._topic_indices[connection.topic, connection.msgtype], data
+        except Exception as error:  # noqa: BLE001 - rosbags raises many types for a damaged file
+            self._losses.add(f"{path}: damaged, the rest is lost: {one_line(error)}")
+
+    def _cdr(self, path: Path, connection: Connection, stored: bytes) -> bytes:
+        """Return a message in CDR; empty if a ROS 1 message cannot be converted."""
+        if not self._is_ros1:
+            return stored
+        try:
+            return bytes(self.types.ros1_to_cdr(stored, connection.msgtype))
+        except Exception as error:  # noqa: BLE001 - code generated from unchecked definitions
+            origin = f"{path}: {connection.topic}: {connection.msgtype}"
+            self._losses.add(f"{origin} cannot be converted: {one_line(error)}")
+            return b""
 
 
-def _is_only_a_bag(folder: Path) -> bool:
-    """Return whether a folder is a bag; without metadata.yaml it must contain nothing else. Raises OSError."""
-    if not is_rosbag2_folder(folder):
-        return False
-    children = {child for child in folder.iterdir() if not child.name.startswith(".")}
-    return (folder / METADATA).is_file() or children == set(bag_files(folder))
+def _batch(messages: list[tuple[int, int, bytes]]) -> MessageBatch:
+    times, indices, data = zip(*messages, strict=True)
+    return batch_of(indices, times, list(data))
 
 
-def _parse_profiles(text: str) -> list[Any]:
-    """Return the QoS profiles stated in a file, which any tool may have written; empty if invalid."""
+def _open_reader(path: Path, make_reader: type[Reader], stack: ExitStack) -> Reader:
+    """Open a file with rosbags until `stack` closes it."""
     try:
-        profiles = yaml.safe_load(text)
-    except YAML_ERRORS:
-        return []
-    return profiles if isinstance(profiles, list) else []
+        reader = make_reader(local_file(path))
+        reader.open()
+    except OSError:
+        raise
+    except Exception as error:  # noqa: BLE001 - rosbags raises many types for a damaged file
+        raise BagError(f"{path}: cannot be read: {one_line(error)}") from None
+    stack.callback(reader.close)
+    return reader
 
 
-def yaml_text(content: object) -> str:
-    """Return `content` as YAML; keys keep their order."""
-    return str(yaml.safe_dump(content, sort_keys=False))
+FORMATS: dict[bytes, Callable[[Path, Sequence[Path], LossLog], Bag]] = {
+    MAGIC: McapBag,
+    b"SQLite format 3\0": partial(RosbagsBag, make_reader=Ros2Reader),
+    b"#ROSBAG V": partial(RosbagsBag, make_reader=Ros1Reader),
+}
+"""Bags by the first bytes of their files."""

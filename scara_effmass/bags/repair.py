@@ -8,25 +8,15 @@ from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import yaml
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
 
 from scara_effmass.bags.batches import LossLog
-from scara_effmass.bags.files import (
-    METADATA,
-    SPLIT_NAME,
-    BagFile,
-    bag_files,
-    is_being_written,
-    sync_folder,
-    write_metadata,
-)
-from scara_effmass.bags.mcap_bag import McapFile, read_index
-from scara_effmass.bags.mcap_copy import DAMAGE, RECORD_HEAD, copy_records, open_mcap, records
-from scara_effmass.bags.split_writer import LOSSES_RECORD, losses_custom_data
+from scara_effmass.bags.files import SPLIT_NAME, bag_files, read_metadata
+from scara_effmass.bags.mcap_bag import DAMAGE, RECORD_HEAD, McapCopy, McapFile, open_mcap, read_index, records
+from scara_effmass.bags.recorder import LOSSES_RECORD, losses_custom_data
+from scara_effmass.bags.writer import BagFile, is_being_written, sync_folder, write_metadata
 from scara_effmass.errors import BagError, OutputError
-from scara_effmass.input_files import YAML_ERRORS
 
 DAMAGED_SUFFIX = ".damaged"
 """Suffix of an original file that is kept because part of its content could not be copied."""
@@ -70,12 +60,9 @@ def repair(path: Path) -> RepairReport:
     """
     match = SPLIT_NAME.fullmatch(path.name)
     is_split_file = path.is_file() and match is not None and match["name"] == path.parent.resolve().name
-    folder = path.parent if is_split_file else path
+    bag = path.parent if is_split_file else path
     try:
-        if folder.is_dir():
-            return _repair_folder(folder)
-        repaired, _ = _repair_file(folder)
-        return RepairReport((repaired,), (), metadata_rewritten=False)
+        return _repair_bag(bag)
     except OutputError:
         raise
     except FileNotFoundError as error:
@@ -84,10 +71,11 @@ def repair(path: Path) -> RepairReport:
         raise OutputError(f"{error.filename or path}: cannot be repaired: {error.strerror or error}") from None
 
 
-def _repair_folder(folder: Path) -> RepairReport:
-    paths = [path for path in bag_files(folder) if path.suffix == ".mcap"]
+def _repair_bag(bag: Path) -> RepairReport:
+    is_folder = bag.is_dir()
+    paths = [path for path in bag_files(bag) if path.suffix == ".mcap"] if is_folder else [bag]
     if not paths:
-        raise BagError(f"{folder}: contains no .mcap file; only MCAP bags can be repaired")
+        raise BagError(f"{bag}: contains no .mcap file; only MCAP bags can be repaired")
     repaired: list[tuple[FileRepair, BagFile]] = []
     failed: list[str] = []
     for path in paths:
@@ -98,7 +86,7 @@ def _repair_folder(folder: Path) -> RepairReport:
     if not repaired:
         raise BagError(failed[0])
     files = tuple(file for file, _ in repaired)
-    rewritten = _update_metadata(folder, files, [content for _, content in repaired])
+    rewritten = is_folder and _update_metadata(bag, files, [content for _, content in repaired])
     return RepairReport(files, tuple(failed), metadata_rewritten=rewritten)
 
 
@@ -112,14 +100,14 @@ def _repair_file(path: Path) -> tuple[FileRepair, BagFile]:
     try:
         losses = LossLog()
         with path.open("rb") as file, unfinished.open("wb") as output:
-            result = copy_records(path, file, output, losses)
+            copy = McapCopy(path, file, output, losses)
             output.flush()
             os.fsync(output.fileno())
         content = _complete_file(unfinished)
-        if content is None or content.count != result.messages:
+        if content is None or content.count != copy.messages:
             raise OutputError(f"{path}: the repaired copy cannot be read back; the file is unchanged")
         original = None
-        if result.has_gaps:
+        if copy.has_gaps:
             original = path.with_name(path.name + DAMAGED_SUFFIX)
             if original.exists():
                 raise OutputError(f"{original}: already exists; move it away first, it may contain more than {path}")
@@ -156,9 +144,8 @@ def _complete_file(path: Path) -> BagFile | None:
 def _update_metadata(folder: Path, files: Sequence[FileRepair], contents: Sequence[BagFile]) -> bool:
     """Write metadata.yaml unless there is a correct one; return whether it was written."""
     information: dict[str, object] = {}
-    with suppress(OSError, *YAML_ERRORS):
-        text = (folder / METADATA).read_text(encoding="utf-8")
-        information = dict(yaml.safe_load(text)["rosbag2_bagfile_information"])
+    with suppress(OSError):
+        information = read_metadata(folder, LossLog())
     names, count = [file.path.name for file in files], sum(file.messages for file in files)
     is_correct = information.get("relative_file_paths") == names and information.get("message_count") == count
     if is_correct and all(file.intact for file in files):

@@ -14,9 +14,8 @@ from rich.console import Console
 from rich.progress import BarColumn, TextColumn
 from rich.status import Status
 
-from scara_effmass.bags.recorder import RecordingReport, TopicReport
+from scara_effmass.bags.recorder import RecorderOptions, RecordingReport, TopicReport
 from scara_effmass.bags.repair import RepairReport, repair
-from scara_effmass.bags.split_writer import RecorderOptions
 from scara_effmass.cli.console import print_result, progress_bar
 from scara_effmass.errors import SettingsError
 from scara_effmass.wire.topics import RECORDED

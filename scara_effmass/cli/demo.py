@@ -10,7 +10,7 @@ from typing import Any
 from scara_effmass.analysis.pages import PageOptions
 from scara_effmass.analysis.validation import ValidationSettings, validate
 from scara_effmass.analysis.validation_report import PAGE, check_report_folder, summary_lines, write_report
-from scara_effmass.bags.files import check_output
+from scara_effmass.bags.writer import check_output
 from scara_effmass.cell.status import Validation
 from scara_effmass.cli import processes
 from scara_effmass.cli.console import live_status, print_lines, print_result, printer

@@ -15,8 +15,7 @@ from scara_effmass.bags.batches import Topic
 from scara_effmass.bags.files import open_bag
 from scara_effmass.daq.source import ForceSource, Reading
 from scara_effmass.errors import BagError, SettingsError
-from scara_effmass.importers import IMPORTERS
-from scara_effmass.importers.force import import_force
+from scara_effmass.importers.force import IMPORTERS, import_force
 from scara_effmass.settings import DaqSettings, ImportSettings, Stamps
 from scara_effmass.values import ForceBlock
 from scara_effmass.wire.cdr import NS

@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Convert force recordings of other programs to ForceBlocks, one by one or in a bag."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError
-from scara_effmass.importers import BAG_IMPORTER, IMPORTERS
+from scara_effmass.importers.csv_file import open_csv
 from scara_effmass.importers.force_file import NEWTON_PER_UNIT, VOLT_PER_UNIT, ForceFile
+from scara_effmass.importers.wrench_topic import open_wrench_topic
 from scara_effmass.settings import ImportSettings
 from scara_effmass.values import MAX_LOST_SAMPLES, RANGE_TOLERANCE, ForceBlock, true_runs
 from scara_effmass.wire.cdr import NS
@@ -38,13 +38,27 @@ class ImportedTopic:
     losses: tuple[str, ...] = ()
 
 
+def _open_tdms(path: Path, settings: ImportSettings) -> ForceFile:
+    from scara_effmass.importers.tdms_file import open_tdms  # noqa: PLC0415 - nptdms is in an extra
+
+    return open_tdms(path, settings)
+
+
+IMPORTERS: dict[str, Callable[[Path, ImportSettings], ForceFile]] = {
+    ".csv": open_csv,
+    ".tsv": open_csv,
+    ".txt": open_csv,
+    ".tdms": _open_tdms,
+}
+"""Function that opens files with this suffix; all other paths must be bags."""
+
+
 def import_force(path: Path, settings: ImportSettings) -> tuple[ForceFile, Iterator[ForceBlock]]:
     """Open a CSV or TDMS file, or a topic of wrenches or numbers in a bag; return it, and its force in newtons.
 
     Values that are not finite numbers count as lost samples. Raises BagError or SettingsError.
     """
-    module, _, function = IMPORTERS.get(path.suffix.lower(), BAG_IMPORTER).partition(":")
-    file: ForceFile = getattr(import_module(module), function)(path, settings)
+    file = IMPORTERS.get(path.suffix.lower(), open_wrench_topic)(path, settings)
     return file, _force_blocks(path, file, settings)
 
 

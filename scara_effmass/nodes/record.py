@@ -19,9 +19,8 @@ from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from scara_effmass.bags.definitions import known_types, published_types
-from scara_effmass.bags.files import qos_yaml
-from scara_effmass.bags.recorder import BagRecorder, MessageSink, RecordingReport
-from scara_effmass.bags.split_writer import RecorderOptions
+from scara_effmass.bags.recorder import BagRecorder, MessageSink, RecorderOptions, RecordingReport
+from scara_effmass.bags.writer import qos_yaml
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.client import ClientNode, spin_for

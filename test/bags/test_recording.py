@@ -24,10 +24,9 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
-from scara_effmass.bags.files import open_bag, qos_yaml
-from scara_effmass.bags.recorder import BagRecorder
-from scara_effmass.bags.split_writer import LOSSES_RECORD, DiskSpace, LossCounts, RecorderOptions
-from scara_effmass.bags.writer import CHUNK_BYTES
+from scara_effmass.bags.files import open_bag
+from scara_effmass.bags.recorder import LOSSES_RECORD, BagRecorder, DiskSpace, LossCounts, RecorderOptions
+from scara_effmass.bags.writer import CHUNK_BYTES, qos_yaml
 from scara_effmass.errors import BagError, OutputError
 
 STRING = "std_msgs/msg/String"

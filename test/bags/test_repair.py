@@ -18,9 +18,8 @@ from mcap.writer import CompressionType, Writer
 from rosbags.highlevel import AnyReader
 
 from scara_effmass.bags.files import open_bag
-from scara_effmass.bags.recorder import BagRecorder
+from scara_effmass.bags.recorder import LOSSES_RECORD, BagRecorder, RecorderOptions
 from scara_effmass.bags.repair import RepairReport, repair
-from scara_effmass.bags.split_writer import LOSSES_RECORD, RecorderOptions
 from scara_effmass.errors import BagError, OutputError
 from test.bags.messages import Message, write_mcap
 

@@ -28,9 +28,8 @@ from rosbags.highlevel import AnyReader
 
 from scara_effmass.bags.definitions import known_types
 from scara_effmass.bags.files import open_bag
-from scara_effmass.bags.recorder import BagRecorder
+from scara_effmass.bags.recorder import BagRecorder, RecorderOptions
 from scara_effmass.bags.repair import repair
-from scara_effmass.bags.split_writer import RecorderOptions
 from scara_effmass.errors import BagError
 
 if TYPE_CHECKING:

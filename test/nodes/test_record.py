@@ -25,8 +25,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, String
 
 from scara_effmass.bags.files import open_bag
-from scara_effmass.bags.recorder import BagRecorder, RecordingReport
-from scara_effmass.bags.split_writer import LossCounts
+from scara_effmass.bags.recorder import BagRecorder, LossCounts, RecordingReport
 from scara_effmass.errors import OutputError, SettingsError
 from scara_effmass.nodes.record import QUEUE_DEPTH, RecordReport, TopicRecorder, record
 from scara_effmass.wire.message_types import message_class, message_definition
