@@ -12,8 +12,7 @@ from statistics import median
 from typing import Any, NamedTuple
 
 from scara_effmass.errors import SettingsError
-from scara_effmass.impacts.clock_offset import WINDOW, Kink
-from scara_effmass.impacts.state_history import NANOSECONDS, OnsetState, Rejection, StateHistory
+from scara_effmass.impacts.state_history import NANOSECONDS, WINDOW, Kink, OnsetState, Rejection, StateHistory
 from scara_effmass.iso15066 import MIN_EFFECTIVE_MASS, reduced_mass
 from scara_effmass.settings import ValidatorSettings
 from scara_effmass.settings.validator import MAX_OBSTACLE_MASS

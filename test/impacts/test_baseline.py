@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scara_effmass.impacts.baseline import (
+from scara_effmass.impacts.segment import (
     BASELINE_FRAMES,
     Baseline,
     Frame,

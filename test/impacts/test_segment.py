@@ -9,14 +9,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scara_effmass.impacts.baseline import Baseline, Frame, longest_flat_run
 from scara_effmass.impacts.detector import SampleBuffer, finite_parts
 from scara_effmass.impacts.segment import (
+    Baseline,
+    Frame,
     classify,
     flank_onset,
     flat_runs,
     interpolated_peak,
     lone_samples,
+    longest_flat_run,
     measure,
     separate,
 )

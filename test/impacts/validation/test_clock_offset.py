@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scara_effmass.impacts.clock_offset import LONGEST_CONTACT_S, Kink, clock_offset, recording_offset, velocity_kink
+from scara_effmass.impacts.state_history import LONGEST_CONTACT_S, Kink, clock_offset, recording_offset, velocity_kink
 from scara_effmass.values import FloatArray
 
 DURATION = 2e-3
