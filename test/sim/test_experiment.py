@@ -10,9 +10,16 @@ from scara_effmass.model.load import load_robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
-from scara_effmass.sim.cart import SpringContact
-from scara_effmass.sim.controller import ServoGains
-from scara_effmass.sim.experiment import CONFIGURATIONS, Configuration, ImpactRun, ImpactSetup, build_sim, run_impact
+from scara_effmass.sim.collision_sim import SpringContact
+from scara_effmass.sim.experiment import (
+    CONFIGURATIONS,
+    Configuration,
+    ImpactRun,
+    ImpactSetup,
+    ServoGains,
+    build_sim,
+    run_impact,
+)
 from scara_effmass.sim.measurement import POSITION_STEP, VELOCITY_STEP, ForceSensor
 from scara_effmass.sim.motion import joint_rates
 from scara_effmass.sim.recordings import EPOCH_NS

@@ -4,9 +4,8 @@ import time
 import numpy as np
 import pytest
 
-from scara_effmass.sim import live
-from scara_effmass.sim.experiment import CONFIGURATIONS
-from scara_effmass.sim.live import LiveOutput, LiveSim
+from scara_effmass.sim import experiment
+from scara_effmass.sim.experiment import CONFIGURATIONS, LiveOutput, LiveSim
 from scara_effmass.sim.measurement import ForceSensor
 from scara_effmass.sim.motion import ElbowConfig, inverse_kinematics
 from scara_effmass.values import FloatArray
@@ -67,7 +66,7 @@ def test_each_impact_uses_its_cart(whole: LiveOutput) -> None:
 def test_force_does_not_depend_on_the_portion_length(monkeypatch: pytest.MonkeyPatch) -> None:
     forces = []
     for periods in (1, 10):
-        monkeypatch.setattr(live, "FORCE_PERIODS", periods)
+        monkeypatch.setattr(experiment, "FORCE_PERIODS", periods)
         forces.append(make_sim().advance_to(START_NS + 2_900_000_000).force)
     assert forces[0].max() > 200.0
     assert np.abs(forces[0] - forces[1]).max() < 2 * SENSOR.step

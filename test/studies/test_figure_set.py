@@ -9,8 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from scara_effmass.errors import OutputError
-from scara_effmass.studies.figure_set import FIGURES, DrawFigure, make_figure_set
-from scara_effmass.studies.figures import figure_18, figure_19
+from scara_effmass.studies.figures import FIGURES, DrawFigure, figure_18, figure_19, make_figure_set
 from scara_effmass.studies.runs import FigureInputs
 
 FEW: dict[DrawFigure, str] = {draw: FIGURES[draw] for draw in (figure_18, figure_19)}

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from scara_effmass.analysis.plot_style import ISO_RED, STYLE
 from scara_effmass.iso15066 import reduced_mass
 from scara_effmass.sim.motion import ElbowConfig, inverse_kinematics
-from scara_effmass.studies.figure_set import FIGURES
+from scara_effmass.studies.figures import FIGURES
 from scara_effmass.studies.runs import FigureInputs
 from scara_effmass.studies.scara import Scara
 from scara_effmass.values import FloatArray

@@ -10,16 +10,8 @@ from scara_effmass.errors import OutputError
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.sim.recordings import EPOCH_NS
-from scara_effmass.studies.random_impacts import (
-    COMPUTED_TORQUE,
-    FREE,
-    ROBOTS,
-    arm_of,
-    draw_impact,
-    extend_table,
-    settings_of,
-    simulate,
-)
+from scara_effmass.studies.bounds import ROBOTS, arm_of
+from scara_effmass.studies.evidence import COMPUTED_TORQUE, FREE, draw_impact, extend_table, settings_of, simulate
 from scara_effmass.values import JointState
 
 SEED = 3
