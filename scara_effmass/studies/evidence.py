@@ -53,12 +53,12 @@ LABELS = {
 }
 """The settings that are compared."""
 DRIVES = {
-    "free": "joints free",
-    "computed_torque": "servo, computed torque",
-    "per_joint": "servo, a controller per joint",
+    FREE: "joints free",
+    COMPUTED_TORQUE: "servo, computed torque",
+    PER_JOINT: "servo, a controller per joint",
 }
 PLATES = {"worst": "worst plate normal", "random": "random plate normal"}
-GOALS = (("default", "free"), ("servo", "computed_torque"), ("servo", "per_joint"))
+GOALS = (("default", FREE), ("servo", COMPUTED_TORQUE), ("servo", PER_JOINT))
 """Settings, each with the drives that it assumes: the force must keep the limit."""
 MAX_SHARE = 1e-3
 """Largest share of impacts above the limit that meets the goal."""
