@@ -256,10 +256,7 @@ class CollisionSim:
 
     def joint_inertias(self) -> FloatArray:
         """Return the diagonal of the robot's mass matrix (n,) [kg m2, kg]."""
-        mujoco.mj_fwdPosition(self.model, self.data)
-        mass_matrix = np.empty((self.model.nv, self.model.nv))
-        mujoco.mj_fullM(self.model, self.data, mass_matrix)
-        return np.diag(mass_matrix)[: self._n]
+        return np.diag(mass_matrix(self.model, self.data))[: self._n]
 
     def inverse_dynamics(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
         """Return the joint torques (m, n) [N m, N] of the motion `q`, `qd`, `qdd` (m, n), without contact."""
@@ -331,6 +328,14 @@ class CollisionSim:
     def _update_jacobian(self) -> None:
         mujoco.mj_fwdPosition(self.model, self.data)
         mujoco.mj_jacSite(self.model, self.data, self._jacobian, None, self._site)
+
+
+def mass_matrix(model: mujoco.MjModel, data: mujoco.MjData) -> FloatArray:
+    """Return the mass matrix (n, n) [kg m2, kg] at the positions in `data`."""
+    mujoco.mj_fwdPosition(model, data)
+    matrix = np.empty((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, matrix)
+    return matrix
 
 
 def sim_mjcf(robot: Path, cart: Cart | None = None) -> tuple[str, tuple[str, ...]]:

@@ -22,6 +22,7 @@ import numpy as np
 
 from scara_effmass.errors import SettingsError
 from scara_effmass.iso15066 import reduced_mass
+from scara_effmass.settings import ServoSettings
 from scara_effmass.share import share
 from scara_effmass.sim.collision_sim import (
     CONTROL_PERIOD_NS,
@@ -49,6 +50,10 @@ from scara_effmass.values import FloatArray, ForceBlock, JointState, RunInfo, Ve
 CONTROL_RATE_HZ = 1e9 / CONTROL_PERIOD_NS
 VELOCITY_TIME_CONSTANT_S = 1e-3
 """Time constant of the low-pass filter for the joint velocities."""
+MAX_BANDWIDTH_HZ, STABLE_DAMPING = 60.0, (0.3, 1.0)
+"""Bandwidths and damping ratios of joint servos that are stable."""
+DEFAULT_SERVO = ServoSettings(bandwidth=5.0, damping=0.7)
+"""It has little effect during a contact of a few milliseconds."""
 ROBOT = ("config", "omron_i4_550l.yaml")
 PATH_M = 0.2
 ACCELERATION = 2.5
@@ -72,24 +77,6 @@ QUINTIC_PEAK = 1.875
 """Peak speed of a quintic move over its mean speed."""
 
 
-@dataclass(frozen=True, slots=True)
-class ServoGains:
-    """Bandwidth [Hz] and damping ratio of the joint servos. Raises SettingsError for gains that may not be stable.
-
-    The default of 5 Hz has little effect during a contact of a few milliseconds.
-    """
-
-    bandwidth: float = 5.0
-    damping_ratio: float = 0.7
-
-    def __post_init__(self) -> None:
-        if not (0.0 < self.bandwidth <= 60.0 and 0.3 <= self.damping_ratio <= 1.0):
-            raise SettingsError(f"{self}: must have a bandwidth of up to 60 Hz and a damping ratio from 0.3 to 1")
-
-
-DEFAULT_GAINS = ServoGains()
-
-
 ControlPeriod = tuple[FloatArray, FloatArray, list[ContactSample]]
 """Joint positions and the controller's velocity estimates (n,) at its start, before rounding to counts; the contact."""
 
@@ -98,13 +85,13 @@ ControlPeriod = tuple[FloatArray, FloatArray, list[ContactSample]]
 class JointController:
     """Move the robot of a simulation along trajectories."""
 
-    def __init__(self, sim: CollisionSim, gains: ServoGains) -> None:
+    def __init__(self, sim: CollisionSim, servo: ServoSettings) -> None:
         """Start from the robot's current state, which sets the inertias I of the gains."""
         inertias = sim.joint_inertias()
-        omega = 2.0 * math.pi * gains.bandwidth
+        omega = 2.0 * math.pi * servo.bandwidth
         self._sim = sim
         self._stiffness = inertias * omega**2
-        self._damping = inertias * 2.0 * gains.damping_ratio * omega
+        self._damping = inertias * 2.0 * servo.damping * omega
         self._weight = 1.0 - math.exp(-1.0 / (CONTROL_RATE_HZ * VELOCITY_TIME_CONSTANT_S))
         self._velocity = sim.qd
 
@@ -151,7 +138,9 @@ IMPACTS = tuple(product(CONFIGURATIONS, OBSTACLE_MASSES))
 
 @dataclass(frozen=True, slots=True)
 class ImpactSetup:
-    """All parameters of one run. Raises SettingsError if the path is too short for `speed` [m/s].
+    """All parameters of one run.
+
+    Raises SettingsError if the path is too short for `speed` [m/s], and for a servo that may not be stable.
 
     The tip is `offset` [m] along the path behind the impact point; the robot rests for `dwell` [s] before and after
     the path. `surface` is the unit normal of the plate; None stands for the direction of the path. `seed` sets the
@@ -162,7 +151,7 @@ class ImpactSetup:
     obstacle_mass: float
     speed: float = SPEED
     contact: SpringContact = POLYETHYLENE
-    servo: ServoGains = DEFAULT_GAINS
+    servo: ServoSettings = DEFAULT_SERVO
     sensor: ForceSensor = FORCE_SENSOR
     offset: float = 0.0
     dwell: float = DWELL_S
@@ -174,6 +163,10 @@ class ImpactSetup:
         max_speed = math.sqrt(PATH_M * ACCELERATION)
         if not 0.0 < self.speed < max_speed:
             raise SettingsError(f"speed = {self.speed}: must be > 0 and < {max_speed:.3f} m/s")
+        servo, (low, high) = self.servo, STABLE_DAMPING
+        if servo.computed_torque or not (servo.bandwidth <= MAX_BANDWIDTH_HZ and low <= servo.damping <= high):
+            limits = f"up to {MAX_BANDWIDTH_HZ:g} Hz and a damping ratio from {low:g} to {high:g}"
+            raise SettingsError(f"servo = {servo}: must be a controller per joint of {limits}")
 
     @property
     def cart(self) -> Cart:

@@ -49,7 +49,6 @@ STAMP_JITTER_S = 20e-6
 """Largest additional delay of one block."""
 FRAME_ID = "force_sensor"
 SOURCE = "simulated force: MuJoCo cell, sensor 208C03 on NI-9230, AC coupled"
-_NOISE_STREAM, _STAMP_STREAM = 3, 4
 
 POSITION_STEP = np.array([2.0 * math.pi / 2**20, 2.0 * math.pi / 2**20, 1e-6, 2.0 * math.pi / 2**20])
 """Resolution of the simulated encoders [rad, rad, m, rad]."""
@@ -72,7 +71,9 @@ REBOUND_PEAKS = (0.3, 0.6)
 """Range of the ratio of a rebound's peak to the first peak."""
 REBOUND_GAPS = (0.01, 0.03)
 """Range of the time from the end of the first contact to the rebound [s]."""
-_SYNTHETIC_STREAM, _PULSE_STREAM = 1, 2
+
+_SYNTHETIC_STREAM, _PULSE_STREAM, _NOISE_STREAM, _STAMP_STREAM = 1, 2, 3, 4
+"""Keys of random numbers."""
 _NORMAL_CHUNK = 4096
 
 
@@ -81,7 +82,7 @@ def uniform(key: tuple[int, ...], count: int) -> FloatArray:
     return _next_uniform(PCG64(list(key)), count)
 
 
-def next_normal(bits: PCG64, count: int) -> FloatArray:
+def _next_normal(bits: PCG64, count: int) -> FloatArray:
     """Return `count` standard normal numbers from the next bits of a stream (Box-Muller); `count` is even."""
     radius, angle = _next_uniform(bits, count).reshape(2, -1)
     radius = np.sqrt(-2.0 * np.log1p(-radius))
@@ -100,7 +101,7 @@ def normal(key: tuple[int, ...], first: int, count: int) -> FloatArray:
 
 @lru_cache(maxsize=4)
 def _normal_chunk(key: tuple[int, ...], chunk: int) -> FloatArray:
-    return next_normal(PCG64([*key, chunk]), _NORMAL_CHUNK)
+    return _next_normal(PCG64([*key, chunk]), _NORMAL_CHUNK)
 
 
 def _next_uniform(bits: PCG64, count: int) -> FloatArray:
@@ -353,7 +354,7 @@ class SyntheticSignal:
         self._noise = np.empty(NOISE_SAMPLES)
         bits = PCG64([seed, _SYNTHETIC_STREAM])
         for chunk in self._noise.reshape(-1, _SYNTHETIC_CHUNK):
-            chunk[:] = np.rint(next_normal(bits, _SYNTHETIC_CHUNK) * (noise / self.step))
+            chunk[:] = np.rint(_next_normal(bits, _SYNTHETIC_CHUNK) * (noise / self.step))
 
     def samples(self, first: int, count: int) -> FloatArray:
         """Return the samples (channels, count) from number `first` on, read-only."""

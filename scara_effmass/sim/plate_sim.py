@@ -18,7 +18,7 @@ from scara_effmass.iso15066 import TRANSIENT_S, Limit
 from scara_effmass.iso15066.drives import servo_reduced_masses
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import ServoSettings
-from scara_effmass.sim.collision_sim import sim_mjcf
+from scara_effmass.sim.collision_sim import mass_matrix, sim_mjcf
 from scara_effmass.values import FloatArray
 
 PHASE_STEP = 0.04
@@ -76,10 +76,8 @@ class PlateSim:
     def kinematics(self, q: FloatArray, point: int = 0) -> tuple[FloatArray, FloatArray]:
         """Return J_v (3, n) of contact point number `point`, and the mass matrix (n, n), at `q` (n,)."""
         self.data.qpos[:] = q
-        mujoco.mj_fwdPosition(self.model, self.data)
-        mass_matrix = np.zeros((self.n, self.n))
-        mujoco.mj_fullM(self.model, self.data, mass_matrix)
-        return self._jacobian(point).copy(), mass_matrix
+        matrix = mass_matrix(self.model, self.data)
+        return self._jacobian(point).copy(), matrix
 
     def gravity(self, q: FloatArray) -> FloatArray:
         """Return the joint torques (n,) that hold the arm against gravity at `q` (n,) [N m, N]."""
@@ -96,8 +94,8 @@ class PlateSim:
         With a servo it follows from the two-mass model. It is one of (A + s I)^-1 v, where s ranges from 1 / m_H, for
         free joints, to infinity, for an immovable robot.
         """
-        jacobian, mass_matrix = self.kinematics(q, point)
-        mobility, velocity = jacobian @ np.linalg.solve(mass_matrix, jacobian.T), jacobian @ qd
+        jacobian, inertia = self.kinematics(q, point)
+        mobility, velocity = jacobian @ np.linalg.solve(inertia, jacobian.T), jacobian @ qd
         least = 1.0 / limit.obstacle_mass_kg
         if servo is None:
             normal = np.linalg.solve(mobility + least * np.eye(3), velocity)
@@ -131,9 +129,9 @@ class PlateSim:
         """
         model, data, k = self.model, self.data, limit.stiffness_n_m
         mujoco.mj_resetData(model, data)
-        jacobian, mass_matrix = self.kinematics(q, point)
+        jacobian, inertia = self.kinematics(q, point)
         row = normal @ jacobian
-        rate = math.sqrt(k * (row @ np.linalg.solve(mass_matrix, row) + 1.0 / limit.obstacle_mass_kg))
+        rate = math.sqrt(k * (row @ np.linalg.solve(inertia, row) + 1.0 / limit.obstacle_mass_kg))
         coarse, duration = 0.0, 4.0 / rate
         model.opt.gravity[2] = 0.0
         velocity, effort = qd * pace, self._robot.effort_limits * pace
@@ -163,7 +161,7 @@ class PlateSim:
             torque[:] = 0.0
             if servo is not None:
                 error, error_rate = q + velocity * time - data.qpos, velocity - data.qvel
-                torque[:] = self._torque(servo, error, error_rate, np.diag(mass_matrix)).clip(-effort, effort)
+                torque[:] = self._torque(servo, error, error_rate, np.diag(inertia)).clip(-effort, effort)
             if force > 0.0:
                 torque -= force * (normal @ self._jacobian(point))
             mujoco.mj_fwdAcceleration(model, data)

@@ -103,20 +103,18 @@ class MonitoredArm:
         normal = velocity if plate == "velocity" else rng.normal(size=3)
         return np.asarray(normal * (np.sign(normal @ velocity) / np.linalg.norm(normal)))
 
-    def margin(self, q: FloatArray, qd: FloatArray, settings: MonitorSettings, point: int = 0) -> float:
-        """Return allowed minus actual speed of contact point `point` [m/s]; NaN if the monitor has no verdict."""
-        monitor = self._monitors.get(settings) or self._monitors.setdefault(settings, Monitor(self.dynamics, settings))
-        contact = monitor.assess_configurations(q[None], qd[None]).contacts[0, point]
-        return math.nan if contact["verdict"] == Verdict.UNKNOWN else contact["allowable_speed"] - contact["speed"]
-
     def allowed(self, q: FloatArray, qd: FloatArray, settings: MonitorSettings, point: int = 0) -> FloatArray | None:
         """Return `qd` (n,) scaled to the speed that the monitor allows; zeros if it allows no motion.
 
         None if a joint would exceed its speed limit, or if the monitor has no verdict.
         """
+        monitor = self._monitors.get(settings) or self._monitors.setdefault(settings, Monitor(self.dynamics, settings))
 
         def margin(scale: float) -> float:
-            return self.margin(q, scale * qd, settings, point)
+            """Return allowed minus actual speed [m/s]; NaN without a verdict."""
+            contact = monitor.assess_configurations(q[None], scale * qd[None]).contacts[0, point]
+            is_unknown = contact["verdict"] == Verdict.UNKNOWN
+            return math.nan if is_unknown else float(contact["allowable_speed"] - contact["speed"])
 
         fastest = float(np.min(self.max_speed / np.maximum(np.abs(qd), TINY)))
         slow, fast = margin(1.0), margin(fastest) if fastest > 1.0 else math.nan

@@ -103,7 +103,7 @@ class Run(NamedTuple):
             "guide_friction": setup.cart.guide_friction,
             "noise": setup.sensor.noise,
             "servo_bandwidth": setup.servo.bandwidth,
-            "servo_damping_ratio": setup.servo.damping_ratio,
+            "servo_damping_ratio": setup.servo.damping,
         }
         return "\n".join([SUMMARY, *(f"{name} = {value}" for name, value in settings.items())])
 

@@ -9,7 +9,7 @@ import pytest
 from scara_effmass.errors import SettingsError
 from scara_effmass.model.load import load_robot
 from scara_effmass.reference import RobotDynamics
-from scara_effmass.settings import MonitorSettings
+from scara_effmass.settings import MonitorSettings, ServoSettings, checked
 from scara_effmass.share import share
 from scara_effmass.sim import experiment
 from scara_effmass.sim.collision_sim import SpringContact
@@ -20,7 +20,6 @@ from scara_effmass.sim.experiment import (
     ImpactSetup,
     LiveOutput,
     LiveSim,
-    ServoGains,
     build_sim,
     run_impact,
 )
@@ -87,7 +86,7 @@ def test_controller_changes_the_peak_force_by_less_than_half_a_percent(
 
 def test_stiffer_controller_increases_the_peak_force() -> None:
     heavy = replace(SETUP, configuration=CONFIGURATIONS[2], obstacle_mass=7.35)
-    runs = [run_impact(replace(heavy, servo=ServoGains(bandwidth=hz))) for hz in (1.0, 5.0, 30.0, 60.0)]
+    runs = [run_impact(replace(heavy, servo=ServoSettings(bandwidth=hz))) for hz in (1.0, 5.0, 30.0, 60.0)]
     excess = [run.impact.peak_force / free_peak(run) - 1.0 for run in runs]
     assert excess == sorted(excess)
     assert abs(excess[0]) < 1e-3
@@ -195,16 +194,22 @@ def test_contact_too_short_or_too_damped_raises() -> None:
 
 @pytest.mark.parametrize("gains", [(0.0, 0.7), (500.0, 0.7), (5.0, 0.1), (math.nan, 0.7), (5.0, math.nan)])
 def test_unstable_gains_raise(gains: tuple[float, float]) -> None:
-    with pytest.raises(SettingsError, match="bandwidth"):
-        ServoGains(*gains)
+    with pytest.raises(SettingsError, match=r"bandwidth|damping"):
+        replace(SETUP, servo=checked(ServoSettings, {"bandwidth": gains[0], "damping": gains[1]}, "servo"))
+
+
+def test_computed_torque_raises() -> None:
+    with pytest.raises(SettingsError, match="must be a controller per joint"):
+        replace(SETUP, servo=ServoSettings(computed_torque=True))
 
 
 @pytest.mark.parametrize("configuration", CONFIGURATIONS, ids=lambda c: c.name)
-@pytest.mark.parametrize("servo", [ServoGains(60.0, 0.3), ServoGains(60.0, 1.0), ServoGains(0.5, 0.3)], ids=str)
-def test_allowed_gains_are_stable(configuration: Configuration, servo: ServoGains) -> None:
-    run = run_impact(replace(SETUP, configuration=configuration, servo=servo))
+@pytest.mark.parametrize("servo", [(60.0, 0.3), (60.0, 1.0), (0.5, 0.3)], ids=str)
+def test_allowed_gains_are_stable(configuration: Configuration, servo: tuple[float, float]) -> None:
+    gains = ServoSettings(bandwidth=servo[0], damping=servo[1])
+    run = run_impact(replace(SETUP, configuration=configuration, servo=gains))
     late = np.array([state.velocity for state in run.joint_states[-50:]])
-    assert np.abs(late).max() < (0.02 if servo.bandwidth > 1.0 else 1.0)
+    assert np.abs(late).max() < (0.02 if gains.bandwidth > 1.0 else 1.0)
 
 
 START_NS = 1_800_000_000_123_456_789
