@@ -180,7 +180,7 @@ class OnsetState(NamedTuple):
     def along(self, normal: Vector3) -> "OnsetState":
         """Return the state with speed and masses along the plate's unit vector `normal`, of either sign."""
         lumped, full = (_mass_along(mobility, normal) for mobility in self.mobilities)
-        speed = self.speed * abs(sum(n * d for n, d in zip(normal, self.direction, strict=True)))
+        speed = self.speed * abs(dot(normal, self.direction))
         return self._replace(speed=speed, masses=_by_model(lumped, full, self.masses["iso"]))
 
 
@@ -336,6 +336,11 @@ class StateHistory:
         length = float(np.linalg.norm(expected[_DIRECTION]))
         along = row[_SPEED] * float(row[_DIRECTION] @ expected[_DIRECTION]) / length if length else 0.0
         return bool(along < (1.0 - self._settings.slowing) * expected[_SPEED])
+
+
+def dot(a: Vector3, b: Vector3) -> float:
+    """Return the scalar product."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def _by_model(lumped: float, full: float, iso: float) -> dict[str, float]:

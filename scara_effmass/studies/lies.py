@@ -29,7 +29,7 @@ from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
 from scara_effmass.sim.motion import QuinticScaling, TrapezoidalScaling
-from scara_effmass.values import Decision, FloatArray, JointState, Verdict, severity
+from scara_effmass.values import FloatArray, JointState, Verdict, severity
 
 ROOT = share("bags").parent
 ROBOTS = {
@@ -150,11 +150,6 @@ def draw(rng: np.random.Generator, dynamics: RobotDynamics) -> Run:
     return Run(rate, stamps.tolist(), dense_q[index], dense_qd[index], q, qd)
 
 
-def worst(decision: Decision | None) -> int:
-    """Return the severity of the verdict at the worst contact point."""
-    return max(severity(contact.verdict) for contact in decision.contacts) if decision else 0
-
-
 def true_violations(run: Run, dynamics: RobotDynamics, settings: MonitorSettings) -> np.ndarray:
     """Return which of the true states (m,) are a VIOLATION at any contact point."""
     monitor = Monitor(dynamics, settings.model_copy(update=EXACT))
@@ -176,7 +171,7 @@ def shown_severities(
         if commands:
             monitor.take_command(JointState(stamp_ns, names, command, np.empty(0)), stamp_ns)
         decision = monitor.assess(JointState(stamp_ns, names, *reported), stamp_ns)
-        shown.append(worst(decision))
+        shown.append(severity(decision.verdict) if decision else 0)
     return np.array(shown)
 
 
@@ -224,7 +219,7 @@ def main() -> None:
         for path in find_bags(ROOT / name):
             with closing(open_bag(path)) as bag:
                 states = list(assessed_rows(bag, joint_state_topic(bag, None), Monitor(dynamics, settings)))
-            unknown += [worst(state.decision) == severity(Verdict.UNKNOWN) for state in states]
+            unknown += [state.decision.verdict is Verdict.UNKNOWN for state in states]
             late += [state.log_time_ns - states[0].log_time_ns > SETTLE_NS for state in states]
         counts = len(unknown), sum(unknown), sum(np.logical_and(unknown, late))
         table.add_row(name, *map(str, counts))

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from scara_effmass.errors import EffmassError, OutputError
 from scara_effmass.input_files import read_table
-from scara_effmass.sim.measurement import FRAME_ID, Pulse, SyntheticSignal, quantize
+from scara_effmass.sim.measurement import FORCE_SENSOR, FRAME_ID, Pulse, SyntheticSignal, quantize
 from scara_effmass.sim.motion import (
     ElbowConfig,
     JointMove,
@@ -38,14 +38,10 @@ CAMPAIGN = Campaign(repetitions=1)
 CAMPAIGN_FOLDER = "campaign"
 REVISION = 3
 """Increase it when a reference recording changes."""
-SAMPLE_RATE = 12_800.0
-"""Sample rate of recorded synthetic force [Hz], the fastest of an NI-9230."""
 BLOCK_SAMPLES = 1280
 BLOCK_NS = 100_000_000
 NOISE = 0.05
 """Standard deviation of the noise [N]."""
-SENSITIVITY = 2.248
-"""Nominal sensitivity of a PCB 208C03 [mV/N]."""
 SOURCE = "simulated force: noise and half-sine impacts at chosen times, not computed from the motion"
 
 
@@ -116,11 +112,6 @@ class Waypoint(NamedTuple):
     q3: float = 0.236
     linear: bool = True
 
-    @property
-    def elbow_config(self) -> ElbowConfig:
-        """Right or left arm."""
-        return ElbowConfig[self.elbow]
-
 
 _TOUR = read_table(__file__, "tour.yaml")
 TOUR_PULSES = tuple(Pulse(*values) for values in _TOUR["pulses"])
@@ -132,9 +123,9 @@ def tour_moves() -> tuple[Move, ...]:
     for start, end in pairwise(Waypoint(**values) for values in _TOUR["waypoints"]):
         time_scaling = QuinticScaling(end.seconds)
         if end.linear:
-            moves.append(LinearMove((start.x, start.y), (end.x, end.y), end.elbow_config, end.q3, time_scaling))
+            moves.append(LinearMove((start.x, start.y), (end.x, end.y), ElbowConfig[end.elbow], end.q3, time_scaling))
         else:
-            q_start, q_end = (joint_positions_at((p.x, p.y), p.elbow_config, p.q3) for p in (start, end))
+            q_start, q_end = (joint_positions_at((p.x, p.y), ElbowConfig[p.elbow], p.q3) for p in (start, end))
             moves.append(JointMove(q_start, q_end, time_scaling))
     return tuple(moves)
 
@@ -161,19 +152,19 @@ def synthetic_force(pulses: Sequence[Pulse], duration_s: float, start_ns: int, s
     """Yield the whole blocks of 0.1 s that fit into `duration_s` [s], from `start_ns` on."""
     signal = SyntheticSignal(
         channels=1,
-        sample_rate=SAMPLE_RATE,
+        sample_rate=FORCE_SENSOR.sample_rate,
         noise=NOISE,
         seed=seed,
-        sensitivity=SENSITIVITY,
+        sensitivity=FORCE_SENSOR.sensitivity,
         pulses=lambda _channel, _first, _end: pulses,
     )
-    for number in range(int(duration_s * SAMPLE_RATE) // BLOCK_SAMPLES):
+    for number in range(int(duration_s * FORCE_SENSOR.sample_rate) // BLOCK_SAMPLES):
         first = number * BLOCK_SAMPLES
         yield ForceBlock(
             stamp_ns=start_ns + number * BLOCK_NS,
             frame_id=FRAME_ID,
             first_sample=first,
-            sample_rate=SAMPLE_RATE,
+            sample_rate=FORCE_SENSOR.sample_rate,
             force=signal.samples(first, BLOCK_SAMPLES)[0],
             source=SOURCE,
             simulated=True,
