@@ -21,7 +21,7 @@ from scara_effmass.analysis.protocol import (
 )
 from scara_effmass.analysis.summary import worst
 from scara_effmass.errors import SettingsError
-from scara_effmass.impacts.limit_check import region_force
+from scara_effmass.impacts.agreement import region_force
 from scara_effmass.input_files import digest
 from scara_effmass.iso15066 import TABLE_HASH, Limit, limits_for
 from scara_effmass.settings import ContactType, MonitorSettings
@@ -202,5 +202,5 @@ def _judged_force(limit: Limit, instrument: Instrument, item: Repetition) -> flo
     device = math.inf if instrument.fixed else instrument.moving_mass_kg
     if peak is None or mass is None or device is None or instrument.stiffness_n_m is None:
         return None
-    force = region_force([limit], peak, mass, device, instrument.stiffness_n_m).force
+    force = region_force([limit], peak, [mass], device, instrument.stiffness_n_m).force
     return max(force, peak) if _stands_for(instrument.stiffness_n_m, limit) else force

@@ -28,8 +28,8 @@ from scara_effmass.analysis.recorded_run import (
 from scara_effmass.bags.bag import Bag
 from scara_effmass.bags.files import open_bag
 from scara_effmass.errors import BagError
-from scara_effmass.impacts.clock_offset import recording_offset
 from scara_effmass.impacts.detector import Detector
+from scara_effmass.impacts.state_history import recording_offset
 from scara_effmass.impacts.validator import Result, Validator
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import DetectionSettings, ImportSettings, MonitorSettings, ValidatorSettings

@@ -18,7 +18,7 @@ from scara_effmass.analysis.pages import PageOptions, file_hashes, render, setti
 from scara_effmass.analysis.plot_style import STYLE
 from scara_effmass.analysis.report import ReportFigure, figure_files, report_figure, write_report_files
 from scara_effmass.analysis.validation_figures import PLOTS
-from scara_effmass.impacts.limit_check import worst_force
+from scara_effmass.impacts.agreement import region_force
 from scara_effmass.iso15066 import limits_for
 from scara_effmass.values import ValidatedImpact, Verdict
 
@@ -278,7 +278,7 @@ def _regions(validation: Validation, settings: ValidationSettings) -> Iterator[t
     """Yield each limit with the largest force [N] of the impacts on its region, None without impacts."""
     for limit in limits_for(settings.validator.limit_settings):
         forces = [
-            worst_force(
+            region_force(
                 [limit],
                 impact.measured_force / impact.force_share,
                 (impact.effective_mass, impact.measured_effective_mass),

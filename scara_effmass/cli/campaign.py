@@ -9,7 +9,7 @@ from typing import Any
 
 from scara_effmass.cli.console import print_result, progress_bar
 from scara_effmass.errors import SettingsError
-from scara_effmass.sim.cart import HERTZ, LINEAR, POLYETHYLENE, SpringContact
+from scara_effmass.sim.collision_sim import HERTZ, LINEAR, POLYETHYLENE, SpringContact
 from scara_effmass.sim.experiment import CONFIGURATIONS, OBSTACLE_MASSES, build_sim
 from scara_effmass.sim.recordings import SEED
 from scara_effmass.studies.campaign import Campaign, CampaignStep, run_campaign

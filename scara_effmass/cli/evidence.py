@@ -17,9 +17,11 @@ from scara_effmass.studies.evidence import (
     SUMMARY,
     TABLE,
     Evidence,
+    Row,
+    Simulate,
+    extend_table,
     write_evidence,
 )
-from scara_effmass.studies.random_impacts import Row, Simulate, extend_table
 
 
 def run(args: argparse.Namespace) -> int:

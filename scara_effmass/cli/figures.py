@@ -14,7 +14,7 @@ from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
 from scara_effmass.studies.claims import Outcome
-from scara_effmass.studies.figure_set import PAGE, STEPS, FigureSet, make_figure_set
+from scara_effmass.studies.figures import PAGE, STEPS, FigureSet, make_figure_set
 from scara_effmass.studies.other_robot import SAMPLES, make_figures
 from scara_effmass.studies.runs import read_inputs
 

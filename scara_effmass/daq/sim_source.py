@@ -11,8 +11,7 @@ import numpy as np
 
 from scara_effmass.daq.source import ForceSource, Reading
 from scara_effmass.settings import DaqSettings, SimScene
-from scara_effmass.sim.measurement import ForceSensor
-from scara_effmass.sim.synthetic_force import RandomPulses, SyntheticSignal
+from scara_effmass.sim.measurement import ForceSensor, RandomPulses, SyntheticSignal
 from scara_effmass.values import FloatArray
 from scara_effmass.wire.cdr import NS
 
@@ -122,7 +121,7 @@ class SimCellSource(SimSource):
     channels: tuple[str, ...] = ("cell",)
 
     def __init__(self, settings: DaqSettings, now_ns: Callable[[], int]) -> None:
-        from scara_effmass.sim.live import LiveSim  # noqa: PLC0415 - needs MuJoCo, which the other scene does not
+        from scara_effmass.sim.experiment import LiveSim  # noqa: PLC0415 - needs MuJoCo, which the other scene does not
 
         super().__init__(settings, now_ns, now_ns)
         sim = settings.sim

@@ -9,9 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from scara_effmass.impacts.agreement import MIN_RELATIVE_RANGE, Agreement
-from scara_effmass.impacts.clock_offset import LONGEST_CONTACT_S, ClockOffset
-from scara_effmass.impacts.mass_fit import Interval, MassFit
+from scara_effmass.impacts.agreement import MIN_RELATIVE_RANGE, Agreement, Interval, MassFit
+from scara_effmass.impacts.state_history import LONGEST_CONTACT_S, ClockOffset
 from scara_effmass.settings import CriterionSettings
 from scara_effmass.values import FloatArray
 

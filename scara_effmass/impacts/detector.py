@@ -12,8 +12,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from scara_effmass.impacts.baseline import BASELINE_FRAMES, Baseline, Frame
-from scara_effmass.impacts.segment import DetectedContact, classify
+from scara_effmass.impacts.segment import BASELINE_FRAMES, Baseline, DetectedContact, Frame, classify
 from scara_effmass.settings import DetectionSettings
 from scara_effmass.values import BoolArray, FloatArray, ForceBlock, Impact, true_runs
 

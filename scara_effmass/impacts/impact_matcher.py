@@ -12,8 +12,7 @@ from statistics import median
 from typing import Any, NamedTuple
 
 from scara_effmass.errors import SettingsError
-from scara_effmass.impacts.clock_offset import WINDOW, Kink
-from scara_effmass.impacts.state_history import NANOSECONDS, OnsetState, Rejection, StateHistory
+from scara_effmass.impacts.state_history import NANOSECONDS, WINDOW, Kink, OnsetState, Rejection, StateHistory, dot
 from scara_effmass.iso15066 import MIN_EFFECTIVE_MASS, reduced_mass
 from scara_effmass.settings import ValidatorSettings
 from scara_effmass.settings.validator import MAX_OBSTACLE_MASS
@@ -46,7 +45,7 @@ class Run(NamedTuple):
     @property
     def force_share(self) -> float:
         """Component of the normal along the axis of the sensor, that is, measured force / force along the normal."""
-        return abs(_dot(self.normal, self.guide)) if self.normal and self.guide else 1.0
+        return abs(dot(self.normal, self.guide)) if self.normal and self.guide else 1.0
 
 
 def check_run_info(info: RunInfo) -> None:
@@ -62,7 +61,7 @@ def check_run_info(info: RunInfo) -> None:
         if not all(map(math.isfinite, getattr(info, name))):
             raise SettingsError(f"{name} = {getattr(info, name)}: must be finite")
     normal, guide = _unit(info.plate_normal), _unit(info.guide_direction)
-    if normal and guide and not abs(_dot(normal, guide)) >= MIN_NORMAL_COMPONENT:
+    if normal and guide and not abs(dot(normal, guide)) >= MIN_NORMAL_COMPONENT:
         raise SettingsError(f"guide_direction = {info.guide_direction}: must not lie in the plate")
 
 
@@ -315,10 +314,6 @@ class ImpactMatcher:
 
     def _uncertainty_ns(self, impact: Impact) -> int:
         return round((self._settings.clock_uncertainty + abs(impact.clock_residual)) * NANOSECONDS)
-
-
-def _dot(a: Vector3, b: Vector3) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def _unit(vector: Vector3) -> Vector3 | None:

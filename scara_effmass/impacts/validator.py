@@ -4,6 +4,7 @@
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, fields
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -12,17 +13,17 @@ from scara_effmass.impacts.agreement import (
     MIN_RELATIVE_RANGE,
     Agreement,
     Comparison,
+    MassFit,
+    RegionForce,
     compare_models,
     model_agreement,
     model_fit,
     predict,
+    region_force,
 )
-from scara_effmass.impacts.clock_offset import ClockOffset, clock_offset
-from scara_effmass.impacts.criterion import Acceptance, Series, criterion_hash, decide
+from scara_effmass.impacts.criterion import Series, criterion_hash, decide
 from scara_effmass.impacts.impact_matcher import ImpactMatcher, MatchedImpact
-from scara_effmass.impacts.limit_check import RegionForce, worst_force
-from scara_effmass.impacts.mass_fit import MassFit
-from scara_effmass.impacts.state_history import MODELS, Rejection
+from scara_effmass.impacts.state_history import MODELS, ClockOffset, Rejection, clock_offset
 from scara_effmass.iso15066 import limits_for
 from scara_effmass.settings import MassModel, ValidatorSettings
 from scara_effmass.values import (
@@ -60,16 +61,12 @@ class ModelResult(NamedTuple):
     reason: str
 
 
-class _Outcome(NamedTuple):
-    agreement: Agreement
-    fit: MassFit
-    acceptance: Acceptance
-
-
 class _Summary(NamedTuple):
-    outcomes: Mapping[str, _Outcome]
+    """The result of each model without its groups, the statistics of the selected one, and the offset of the clocks."""
+
+    models: Mapping[str, ModelResult]
+    statistics: SeriesStatistics
     clock: ClockOffset
-    exceedances: int
 
 
 class Result(NamedTuple):
@@ -232,22 +229,12 @@ class Validator:
     def result(self) -> Result:
         """Return the current result of the series."""
         clock, force_sign = self._problems()
-        summary = self._summary(force_sign or clock)
-        refused = self._matcher.refused
+        summary = self._summary()
+        refused, statistics = self._matcher.refused, summary.statistics
         return Result(
             model=self._model,
             contact_point=self._contact_point,
-            models=tuple(
-                ModelResult(
-                    model=model,
-                    overall=overall,
-                    fit=fit,
-                    by_configuration=self._grouped(model, overall.stiffness, lambda match: match.run.configuration),
-                    by_obstacle_mass=self._grouped(model, overall.stiffness, lambda match: match.run.obstacle_mass),
-                    **acceptance._asdict(),
-                )
-                for model, (overall, fit, acceptance) in summary.outcomes.items()
-            ),
+            models=tuple(map(self._with_groups, summary.models.values())),
             comparison=compare_models(self._models, self._matches),
             impacts=tuple(self._validated_impact(match, summary) for match in self._matches),
             refused=tuple(refused),
@@ -262,8 +249,10 @@ class Validator:
             clock_offset=summary.clock,
             force_sign=force_sign,
             gain_tolerance=self._gain_tolerance,
-            exceedances=summary.exceedances,
-            **summary.outcomes[self._model].acceptance._asdict(),
+            exceedances=statistics.exceedances,
+            accepted=statistics.accepted,
+            decidable=statistics.decidable,
+            reason=statistics.reason,
             criterion_hash=self.criterion_hash,
         )
 
@@ -275,20 +264,20 @@ class Validator:
                 self._matcher.refuse(match.impact, Rejection(f"no {self._model} mass", detail))
                 continue
             self._matches.append(match)
-            clock, force_sign = self._problems()
-            validated.append(self._validated_impact(match, self._summary(force_sign or clock)))
+            validated.append(self._validated_impact(match, self._summary()))
         return validated
 
-    def _summary(self, problem: str) -> _Summary:
-        """Return agreement, fit and decision of each model; `problem` is one with the clocks or the sign of the force.
+    def _summary(self) -> _Summary:
+        """Return agreement, fit and decision of each model.
 
-        Apart from the problem, the result does not depend on the order of arrival.
+        Apart from a problem with the clocks or the sign of the force, it does not depend on the order of arrival.
         """
+        clock_problem, sign_problem = self._problems()
         unpaired = Counter(impact.reason for impact in self._matcher.refused if not impact.excluded)
         kinks = (match.kink for match in self._matches if match.kink is not None)
         clock = clock_offset(kinks, self.settings.criterion.largest_clock_offset)
         one_pose = self._one_pose()
-        outcomes = {}
+        models = {}
         for model in self._models:
             usable = [match for match in self._matches if match.has_mass(model)]
             series = Series(
@@ -302,16 +291,20 @@ class Validator:
                 left_out=unpaired.total(),
                 left_out_reason=min(unpaired, key=lambda reason: (-unpaired[reason], reason), default=""),
             )
-            outcomes[model] = _Outcome(series.agreement, series.fit, decide(self.settings.criterion, series, problem))
-        stiffness = outcomes[self._model].agreement.stiffness
-        exceedances = sum(self._region_force(match, stiffness).exceeds for match in self._matches)
-        return _Summary(outcomes, clock, exceedances)
+            acceptance = decide(self.settings.criterion, series, sign_problem or clock_problem)
+            models[model] = ModelResult(model, series.agreement, series.fit, {}, {}, *acceptance)
+        selected = models[self._model]
+        forces = [self._region_force(match, selected.overall.stiffness) for match in self._matches]
+        statistics = asdict(selected.overall) | selected.fit._asdict() | selected._asdict()
+        statistics |= {"clock_offset": clock.offset, "exceedances": sum(force.exceeds for force in forces)}
+        names = [field.name for field in fields(SeriesStatistics)]
+        return _Summary(models, SeriesStatistics(**{name: statistics[name] for name in names}), clock)
 
     def _region_force(self, match: MatchedImpact, stiffness: float) -> RegionForce:
         """Return the force on the most endangered body region, for the worse of modelled and measured mass."""
         peak = match.impact.peak_force / match.force_share
         masses = (match.state.masses[self._model], match.measured_mass)
-        return worst_force(self._limits, peak, masses, match.obstacle_mass, stiffness)
+        return region_force(self._limits, peak, masses, match.obstacle_mass, stiffness)
 
     @property
     def _gain_tolerance(self) -> float:
@@ -332,24 +325,19 @@ class Validator:
         """Return predictions and limit for `match`, with the `summary` of the series."""
         impact, state, run, kink = match
         predictions = {
-            model: predict(model, match, outcome.agreement.stiffness)
-            for model, outcome in summary.outcomes.items()
+            model: predict(model, match, result.overall.stiffness)
+            for model, result in summary.models.items()
             if match.has_mass(model)
         }
-        selected, (agreement, fit, acceptance) = predictions[self._model], summary.outcomes[self._model]
+        selected = predictions[self._model]
         peak, impulse = impact.peak_force / match.force_share, match.impulse
         region = self._region_force(match, selected.stiffness)
         return ValidatedImpact(
             stamp_ns=impact.stamp_ns,
             frame_id=impact.frame_id,
-            predicted_force=selected.predicted_force,
             measured_force=impact.peak_force,
-            relative_error=selected.relative_error,
-            effective_mass=selected.effective_mass,
-            reduced_mass=selected.reduced_mass,
             speed=state.speed,
-            stiffness=selected.stiffness,
-            conservative=selected.conservative,
+            **{name: value for name, value in selected._asdict().items() if name != "model"},
             compression_impulse=impact.compression_impulse,
             measured_reduced_mass=impulse / state.speed,
             measured_effective_mass=match.measured_mass,
@@ -359,24 +347,7 @@ class Validator:
             region_force=region.force,
             limit_force=region.limit,
             exceeds_limit=region.exceeds,
-            series=SeriesStatistics(
-                count=agreement.count,
-                correlation=agreement.correlation,
-                fitted_stiffness=agreement.fitted_stiffness,
-                bias=agreement.bias,
-                rmse=agreement.rmse,
-                non_conservative=agreement.non_conservative,
-                gain=fit.gain,
-                gain_interval=fit.gain_interval,
-                mass_scale=fit.mass_scale,
-                mass_scale_interval=fit.mass_scale_interval,
-                detectable_mass_error=fit.detectable_mass_error,
-                exponent=fit.exponent,
-                exponent_interval=fit.exponent_interval,
-                clock_offset=summary.clock.offset,
-                exceedances=summary.exceedances,
-                **acceptance._asdict(),
-            ),
+            series=summary.statistics,
             predictions=tuple(predictions.values()),
             contact_point=self._contact_point,
             direction=state.direction,
@@ -387,11 +358,19 @@ class Validator:
             simulated=impact.simulated,
         )
 
-    def _grouped(self, model: str, stiffness: float, key: Callable[[MatchedImpact], Key]) -> dict[Key, Agreement]:
+    def _with_groups(self, result: ModelResult) -> ModelResult:
+        """Return `result` with its agreement by group."""
+        return result._replace(
+            by_configuration=self._grouped(result, lambda match: match.run.configuration),
+            by_obstacle_mass=self._grouped(result, lambda match: match.run.obstacle_mass),
+        )
+
+    def _grouped(self, result: ModelResult, key: Callable[[MatchedImpact], Key]) -> dict[Key, Agreement]:
         groups: dict[Key, list[MatchedImpact]] = {}
         for match in self._matches:
             groups.setdefault(key(match), []).append(match)
-        return {name: self._agreement(model, groups[name], stiffness) for name in sorted(groups)}
+        stiffness = result.overall.stiffness
+        return {name: self._agreement(result.model, groups[name], stiffness) for name in sorted(groups)}
 
     def _clear_problems(self, clock: str = "", force_sign: str = "") -> None:
         """Forget the force extremes, and keep the problems of earlier recordings."""

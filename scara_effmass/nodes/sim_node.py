@@ -16,8 +16,7 @@ from scara_effmass.nodes import parameters
 from scara_effmass.nodes.lifecycle import LifecycleBase, run
 from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.settings.loading import fixed
-from scara_effmass.sim.experiment import ImpactSetup
-from scara_effmass.sim.live import LiveSim
+from scara_effmass.sim.experiment import ImpactSetup, LiveSim
 from scara_effmass.wire import topics
 from scara_effmass.wire.cdr import header_stamp_ns
 from scara_effmass.wire.joint_state import joint_state_message

@@ -9,6 +9,7 @@ Denavit-Hartenberg file, independently of the room `model`.
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, final
 from xml.etree import ElementTree as ET
@@ -16,10 +17,9 @@ from xml.etree import ElementTree as ET
 import mujoco
 import numpy as np
 
-from scara_effmass.errors import RobotError
+from scara_effmass.errors import RobotError, SettingsError
 from scara_effmass.input_files import read_yaml
-from scara_effmass.sim.cart import Cart, SpringContact
-from scara_effmass.values import FloatArray
+from scara_effmass.values import FloatArray, Vector3
 
 CONTROL_PERIOD_NS = 1_000_000
 """Period of the robot controller; the torque is constant for one period."""
@@ -31,7 +31,7 @@ FINE_STEP_NS = 10_000
 The error of the peak is 0.01 %, and 0.2 % if damping reduces the peak by a fifth."""
 FINE_STEP_GAP_M = 1e-3
 """Gap below which steps are fine; the robot closes a quarter of it in one control period."""
-VISCOUS_SPEED_MPS = 5e-3
+TIP_VISCOUS_SPEED_MPS = 5e-3
 """Sliding speed below which tip friction is proportional to the speed: the tip holds, with some creep."""
 
 TOOL = "tool"
@@ -39,6 +39,98 @@ TOOL = "tool"
 _DISABLED = ("contact", "constraint", "gravity", "sensor", "actuation", "limit")
 _JOINT_TYPES = {"revolute": "hinge", "prismatic": "slide"}
 _TENSOR_SIZE = 6
+
+UNIT_LENGTH_TOLERANCE = 1e-6
+GUIDE_VISCOUS_SPEED_MPS = 1e-3
+"""Speed below which guide friction is proportional to the speed, so that it vanishes at rest."""
+BRAKE_TIME_S = 0.05
+"""Time constant of the brake."""
+LINEAR = 1.0
+HERTZ = 1.5
+"""Exponents n of the contact law."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cart:
+    """A cart on a guide, in the robot's base frame. Raises SettingsError for impossible values.
+
+    `tip` is the position of the tip at rest [m], `direction` the unit vector along the guide, away from the robot, and
+    `mass` the whole sliding mass m_H [kg]. The force cell sits between the tip and the rest of the cart: `tip_mass`
+    [kg] is in front of it. `surface` is the unit normal of the robot's plate that the tip touches; None stands for
+    `direction`. `guide_friction` is in [N]. Beyond `travel` [m] a brake stops the cart smoothly.
+    """
+
+    tip: Vector3
+    direction: Vector3
+    mass: float
+    tip_mass: float = 0.0
+    surface: Vector3 | None = None
+    guide_friction: float = 0.5
+    travel: float = 0.15
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.tip_mass < self.mass < math.inf:
+            raise SettingsError(f"mass = {self.mass}, tip_mass = {self.tip_mass}: must be 0 <= tip_mass < mass")
+        for name, vector in (("direction", self.direction), ("surface", self.normal)):
+            if not abs(math.hypot(*vector) - 1.0) < UNIT_LENGTH_TOLERANCE:
+                raise SettingsError(f"{name} = {vector}: must be a unit vector")
+
+    @property
+    def normal(self) -> Vector3:
+        """Unit normal of the plate, away from the robot."""
+        return self.direction if self.surface is None else self.surface
+
+    def resistance(self, position: float, speed: float) -> float:
+        """Return the force of guide and brake on the cart [N], `position` [m] from its rest position."""
+        friction = -self.guide_friction * speed / GUIDE_VISCOUS_SPEED_MPS
+        if abs(speed) > GUIDE_VISCOUS_SPEED_MPS:
+            friction = -math.copysign(self.guide_friction, speed)
+        braking = -self.mass / BRAKE_TIME_S * speed if position > self.travel else 0.0
+        return friction + braking
+
+
+@dataclass(frozen=True, slots=True)
+class SpringContact:
+    """Contact law of the tip: F = max(0, k d^n + c d'). Raises SettingsError for impossible values.
+
+    `stiffness` is k [N/m^n]. `exponent` n = 1 is a linear spring, 3/2 a Hertz contact. `damping` is c [N s/m] of the
+    Kelvin-Voigt model, `friction` the Coulomb coefficient between tip and plate. The paper gives no stiffness of its
+    polyethylene tip, but forces of 160 to 860 N and durations of 1 to 4 ms. The default gives 200 to 510 N and 1.3 to
+    3.2 ms for the paper's masses and speed.
+    """
+
+    stiffness: float = 2.0e6
+    exponent: float = LINEAR
+    damping: float = 0.0
+    friction: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.stiffness < math.inf:
+            raise SettingsError(f"stiffness = {self.stiffness}: must be finite and > 0")
+        for name, minimum, maximum in (("exponent", 1.0, math.inf), ("damping", 0.0, math.inf), ("friction", 0.0, 1.0)):
+            value = getattr(self, name)
+            if not minimum <= value <= maximum or value == math.inf:
+                raise SettingsError(f"{name} = {value}: must be finite and from {minimum} to {maximum}")
+
+    def force(self, depth: float, rate: float) -> float:
+        """Return the force [N] at penetration `depth` [m] with rate `rate` [m/s]; 0 without contact."""
+        if depth <= 0.0:
+            return 0.0
+        return max(0.0, self.stiffness * math.pow(depth, self.exponent) + self.damping * rate)
+
+    def free_impact(self, speed: float, reduced_mass: float) -> tuple[float, float]:
+        """Return peak force [N] and duration [s] where two free bodies collide at `speed` [m/s], without damping.
+
+        The spring holds mu v^2 / 2 at the peak. For a linear spring F = v sqrt(mu k), t = pi sqrt(mu / k).
+        """
+        power = self.exponent + 1.0
+        depth = math.pow(power * reduced_mass * speed**2 / (2.0 * self.stiffness), 1.0 / power)
+        # Integral of (1 - x^p)^(-1/2) from 0 to 1.
+        quarter = math.sqrt(math.pi) * math.gamma(1.0 + 1.0 / power) / math.gamma(0.5 + 1.0 / power)
+        return self.stiffness * math.pow(depth, self.exponent), 2.0 * depth / speed * quarter
+
+
+POLYETHYLENE = SpringContact()
 
 
 class ContactSample(NamedTuple):
@@ -164,10 +256,7 @@ class CollisionSim:
 
     def joint_inertias(self) -> FloatArray:
         """Return the diagonal of the robot's mass matrix (n,) [kg m2, kg]."""
-        mujoco.mj_fwdPosition(self.model, self.data)
-        mass_matrix = np.empty((self.model.nv, self.model.nv))
-        mujoco.mj_fullM(self.model, self.data, mass_matrix)
-        return np.diag(mass_matrix)[: self._n]
+        return np.diag(mass_matrix(self.model, self.data))[: self._n]
 
     def inverse_dynamics(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
         """Return the joint torques (m, n) [N m, N] of the motion `q`, `qd`, `qdd` (m, n), without contact."""
@@ -218,7 +307,7 @@ class CollisionSim:
         if self.contact.friction:
             velocity = self._jacobian @ self._v - self._guide * self.cart_speed
             sliding = velocity - rate * self._normal
-            speed = max(float(np.linalg.norm(sliding)), VISCOUS_SPEED_MPS)
+            speed = max(float(np.linalg.norm(sliding)), TIP_VISCOUS_SPEED_MPS)
             drag = self.contact.friction * force / speed * sliding
             self._applied -= drag @ self._jacobian
             push += float(self._guide @ drag)
@@ -239,6 +328,14 @@ class CollisionSim:
     def _update_jacobian(self) -> None:
         mujoco.mj_fwdPosition(self.model, self.data)
         mujoco.mj_jacSite(self.model, self.data, self._jacobian, None, self._site)
+
+
+def mass_matrix(model: mujoco.MjModel, data: mujoco.MjData) -> FloatArray:
+    """Return the mass matrix (n, n) [kg m2, kg] at the positions in `data`."""
+    mujoco.mj_fwdPosition(model, data)
+    matrix = np.empty((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, matrix)
+    return matrix
 
 
 def sim_mjcf(robot: Path, cart: Cart | None = None) -> tuple[str, tuple[str, ...]]:
@@ -283,10 +380,10 @@ def _robot_body(document: dict[str, Any]) -> tuple[ET.Element, tuple[str, ...]]:
         joint_body = ET.SubElement(parent, "body", {"name": f"{name}_body", **frame})
         armature = _text(row.get("armature", 0.0))
         ET.SubElement(joint_body, "joint", name=name, type=_JOINT_TYPES[row["type"]], axis="0 0 1", armature=armature)
-        offset = {"pos": _text(0.0, 0.0, row.get("d", 0.0)), "quat": _quaternion(float(row.get("theta", 0.0)), axis=2)}
+        offset = {"pos": _text(0.0, 0.0, row.get("d", 0.0)), "axisangle": _text(0.0, 0.0, 1.0, row.get("theta", 0.0))}
         parent = ET.SubElement(joint_body, "body", {"name": str(link["name"]), **offset})
         _add_inertial(parent, link)
-        frame = {"pos": _text(row["a"], 0.0, 0.0), "quat": _quaternion(float(row["alpha"]), axis=0)}
+        frame = {"pos": _text(row["a"], 0.0, 0.0), "axisangle": _text(1.0, 0.0, 0.0, row["alpha"])}
     end = ET.SubElement(parent, "body", {"name": "payload", **frame})
     if payload := document.get("payload"):
         _add_inertial(end, payload)
@@ -303,12 +400,6 @@ def _add_inertial(body: ET.Element, link: dict[str, Any]) -> None:
         raise ValueError(f"inertia of {link.get('name', 'payload')} = {inertia}: must be one number or six")
     com = _text(*link.get("com", (0.0, 0.0, 0.0)))
     ET.SubElement(body, "inertial", pos=com, mass=_text(link["mass"]), fullinertia=_text(*inertia))
-
-
-def _quaternion(angle: float, *, axis: int) -> str:
-    quaternion = [math.cos(angle / 2.0), 0.0, 0.0, 0.0]
-    quaternion[1 + axis] = math.sin(angle / 2.0)
-    return _text(*quaternion)
 
 
 def _text(*numbers: float) -> str:

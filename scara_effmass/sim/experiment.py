@@ -1,30 +1,41 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One impact of the paper's experiment: the robot hits the waiting cart in the middle of a straight path.
+"""The paper's experiment: the robot hits the waiting cart in the middle of a straight path.
 
-The robot follows its planned path after the impact, so it often catches up with the cart and hits it again, weaker.
+`run_impact` simulates one impact, `LiveSim` one after the other. The robot follows its planned path after an impact, so
+it often catches up with the cart and hits it again, weaker. Its controller is a servo per joint along the path, with
+feed-forward torques:
+
+    tau = tau_plan + K (q_plan - q) + D (qd_plan - qd)        K = I w^2,  D = 2 zeta w I
+
+I is the inertia that the joint's drive sees at the point of impact, w the bandwidth. The controller reads the encoders
+once per control period and holds the torque until the next one.
 """
 
 import math
 import random
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import cycle, product
+from typing import NamedTuple, final
 
 import numpy as np
 
 from scara_effmass.errors import SettingsError
 from scara_effmass.iso15066 import reduced_mass
+from scara_effmass.settings import ServoSettings
 from scara_effmass.share import share
-from scara_effmass.sim.cart import POLYETHYLENE, Cart, SpringContact
 from scara_effmass.sim.collision_sim import (
     CONTROL_PERIOD_NS,
     FINE_STEP_NS,
+    POLYETHYLENE,
+    Cart,
     CollisionSim,
     ContactSample,
+    SpringContact,
     TrueContact,
     find_contacts,
 )
-from scara_effmass.sim.controller import CONTROL_RATE_HZ, DEFAULT_GAINS, EncoderReading, JointController, ServoGains
-from scara_effmass.sim.measurement import FORCE_SENSOR, ForceSensor, measure_force, quantize
+from scara_effmass.sim.measurement import FORCE_SENSOR, Adc, ForceSensor, measure_force, quantize
 from scara_effmass.sim.motion import (
     ElbowConfig,
     LinearMove,
@@ -33,9 +44,16 @@ from scara_effmass.sim.motion import (
     joint_positions_at,
     sample_moves,
 )
-from scara_effmass.sim.recordings import EPOCH_NS
-from scara_effmass.values import ForceBlock, JointState, RunInfo, Vector3
+from scara_effmass.sim.recordings import EPOCH_NS, JOINTS
+from scara_effmass.values import FloatArray, ForceBlock, JointState, RunInfo, Vector3
 
+CONTROL_RATE_HZ = 1e9 / CONTROL_PERIOD_NS
+VELOCITY_TIME_CONSTANT_S = 1e-3
+"""Time constant of the low-pass filter for the joint velocities."""
+MAX_BANDWIDTH_HZ, STABLE_DAMPING = 60.0, (0.3, 1.0)
+"""Bandwidths and damping ratios of joint servos that are stable."""
+DEFAULT_SERVO = ServoSettings(bandwidth=5.0, damping=0.7)
+"""It has little effect during a contact of a few milliseconds."""
 ROBOT = ("config", "omron_i4_550l.yaml")
 PATH_M = 0.2
 ACCELERATION = 2.5
@@ -51,6 +69,40 @@ MIN_CONTACT_STEPS = 40
 MAX_SPEED_LOSS = 0.1
 """Largest share of the closing speed that damping may take in one step."""
 _ENCODER_STREAM = 5
+FORCE_PERIODS = 10
+"""Control periods per portion of force samples."""
+FIRST_DWELL_S = 2.0
+"""Rest before the first impact: a force node needs one to two seconds to estimate the converter clock."""
+QUINTIC_PEAK = 1.875
+"""Peak speed of a quintic move over its mean speed."""
+
+
+ControlPeriod = tuple[FloatArray, FloatArray, list[ContactSample]]
+"""Joint positions and the controller's velocity estimates (n,) at its start, before rounding to counts; the contact."""
+
+
+@final
+class JointController:
+    """Move the robot of a simulation along trajectories."""
+
+    def __init__(self, sim: CollisionSim, servo: ServoSettings) -> None:
+        """Start from the robot's current state, which sets the inertias I of the gains."""
+        inertias = sim.joint_inertias()
+        omega = 2.0 * math.pi * servo.bandwidth
+        self._sim = sim
+        self._stiffness = inertias * omega**2
+        self._damping = inertias * 2.0 * servo.damping * omega
+        self._weight = 1.0 - math.exp(-1.0 / (CONTROL_RATE_HZ * VELOCITY_TIME_CONSTANT_S))
+        self._velocity = sim.qd
+
+    def follow(self, q: FloatArray, qd: FloatArray) -> Iterator[ControlPeriod]:
+        """Follow positions and velocities (m, n), one row per control period; yield each period after it."""
+        qdd = np.gradient(qd, 1.0 / CONTROL_RATE_HZ, axis=0)
+        for q_plan, qd_plan, planned in zip(q, qd, self._sim.inverse_dynamics(q, qd, qdd), strict=True):
+            position = self._sim.q
+            self._velocity = self._velocity + self._weight * (self._sim.qd - self._velocity)
+            torque = planned + self._stiffness * (q_plan - position) + self._damping * (qd_plan - self._velocity)
+            yield position, self._velocity, self._sim.advance(torque)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,11 +133,14 @@ CONFIGURATIONS = (
 """Ordered from light to heavy. Only (300, 200) mm is in the text of the paper; the other two are chosen here."""
 OBSTACLE_MASSES = (0.50, 2.39, 3.72, 7.35)
 """Masses of the paper's cart [kg]."""
+IMPACTS = tuple(product(CONFIGURATIONS, OBSTACLE_MASSES))
 
 
 @dataclass(frozen=True, slots=True)
 class ImpactSetup:
-    """All parameters of one run. Raises SettingsError if the path is too short for `speed` [m/s].
+    """All parameters of one run.
+
+    Raises SettingsError if the path is too short for `speed` [m/s], and for a servo that may not be stable.
 
     The tip is `offset` [m] along the path behind the impact point; the robot rests for `dwell` [s] before and after
     the path. `surface` is the unit normal of the plate; None stands for the direction of the path. `seed` sets the
@@ -96,7 +151,7 @@ class ImpactSetup:
     obstacle_mass: float
     speed: float = SPEED
     contact: SpringContact = POLYETHYLENE
-    servo: ServoGains = DEFAULT_GAINS
+    servo: ServoSettings = DEFAULT_SERVO
     sensor: ForceSensor = FORCE_SENSOR
     offset: float = 0.0
     dwell: float = DWELL_S
@@ -108,6 +163,10 @@ class ImpactSetup:
         max_speed = math.sqrt(PATH_M * ACCELERATION)
         if not 0.0 < self.speed < max_speed:
             raise SettingsError(f"speed = {self.speed}: must be > 0 and < {max_speed:.3f} m/s")
+        servo, (low, high) = self.servo, STABLE_DAMPING
+        if servo.computed_torque or not (servo.bandwidth <= MAX_BANDWIDTH_HZ and low <= servo.damping <= high):
+            limits = f"up to {MAX_BANDWIDTH_HZ:g} Hz and a damping ratio from {low:g} to {high:g}"
+            raise SettingsError(f"servo = {servo}: must be a controller per joint of {limits}")
 
     @property
     def cart(self) -> Cart:
@@ -191,16 +250,13 @@ def run_impact(setup: ImpactSetup) -> ImpactRun:
     q, qd = sample_moves(setup.moves, CONTROL_RATE_HZ)
     sim.set_state(q[0], np.zeros_like(q[0]))
     sim.place_cart()
-    readings: list[EncoderReading] = []
-    samples: list[ContactSample] = []
-    for reading, contact in controller.follow(q, qd):
-        readings.append(reading)
-        samples += contact
+    periods = list(controller.follow(q, qd))
+    positions, velocities = (np.array(column) for column in list(zip(*periods, strict=True))[:2])
+    samples = [sample for *_, contact in periods for sample in contact]
     contacts = find_contacts(samples)
     if not contacts:
         raise SettingsError(f"offset = {setup.offset}: the cart is not hit: must be within the path")
     noise = random.Random(f"{setup.seed} {_ENCODER_STREAM}")  # noqa: S311 - noise, no secret
-    positions, velocities = map(np.array, zip(*readings, strict=True))
     rows = enumerate(zip(*quantize(positions, velocities, noise), strict=True))
     force_blocks = measure_force(samples, setup.start_ns, sim.time_ns, setup.sensor, setup.seed)
     # The masses are those at the onset of the impact.
@@ -226,3 +282,85 @@ def _masses(sim: CollisionSim) -> tuple[float, float]:
     cosine = float(normal @ np.array(sim.cart.direction))
     obstacle_mass = sim.cart.mass / cosine**2 if cosine else math.inf
     return effective_mass, reduced_mass(effective_mass, obstacle_mass)
+
+
+class LiveOutput(NamedTuple):
+    """New joint states, force samples (n,) [N] from number `first_sample` on, and setups whose cart was placed."""
+
+    joint_states: tuple[JointState, ...]
+    first_sample: int
+    force: FloatArray
+    carts: tuple[ImpactSetup, ...]
+
+
+@final
+class LiveSim:
+    """The simulated cell, advanced by the caller's clock; the robot starts at rest.
+
+    The output depends on the arguments only, not on how the caller divides the time. One process can thus publish the
+    joint states and another one the force of the same cell, each from its own LiveSim.
+    """
+
+    def __init__(
+        self,
+        start_ns: int,
+        *,
+        seed: int = 0,
+        sensor: ForceSensor = FORCE_SENSOR,
+        impacts: Sequence[tuple[Configuration, float]] = IMPACTS,
+    ) -> None:
+        """Start at ROS time `start_ns`.
+
+        `impacts` are the configuration and obstacle mass [kg] of each impact, in an endless cycle; all must have the
+        same elbow configuration. `seed` sets the noise of the encoders.
+        """
+        self.start_ns = start_ns
+        self._impacts = impacts
+        self._elapsed_ns = 0
+        self._adc = Adc(sensor, 0)
+        self._noise = random.Random(seed)  # noqa: S311 - noise, no secret
+        self._contact: list[ContactSample] = []
+        self._carts: list[ImpactSetup] = []
+        self._periods = self._run()
+
+    def advance_to(self, now_ns: int) -> LiveOutput:
+        """Advance to ROS time `now_ns`, in whole control periods; return the new output."""
+        states: list[JointState] = []
+        first = self._adc.samples
+        force = [np.empty(0)]
+        while self.start_ns + self._elapsed_ns + CONTROL_PERIOD_NS <= now_ns:
+            q, qd, contact = next(self._periods)
+            states.append(JointState(self.start_ns + self._elapsed_ns, JOINTS, *quantize(q, qd, self._noise)))
+            self._elapsed_ns += CONTROL_PERIOD_NS
+            self._contact += contact
+            if self._elapsed_ns % (FORCE_PERIODS * CONTROL_PERIOD_NS) == 0:
+                # Contact after its last sample is known only in the next period.
+                known_ns = contact[-1].time_ns if contact else self._elapsed_ns
+                force.append(self._adc.push(self._contact, known_ns))
+                self._contact.clear()
+        samples = np.concatenate(force)
+        samples.flags.writeable = False
+        carts, self._carts = self._carts, []
+        return LiveOutput(tuple(states), first, samples, tuple(carts))
+
+    def _run(self) -> Iterator[ControlPeriod]:
+        previous_end: tuple[float, float] | None = None
+        state: tuple[FloatArray, FloatArray] | None = None
+        for configuration, mass in cycle(self._impacts):
+            dwell_s = FIRST_DWELL_S if previous_end is None else DWELL_S
+            setup = ImpactSetup(configuration, mass, dwell=dwell_s)
+            sim, controller = build_sim(setup)
+            dwell, *impact_moves = setup.moves
+            approach_moves = [dwell]
+            if previous_end is not None:
+                distance = float(np.hypot(dwell.start[0] - previous_end[0], dwell.start[1] - previous_end[1]))
+                scaling = QuinticScaling(QUINTIC_PEAK * distance / setup.speed)
+                approach_moves.insert(0, LinearMove(previous_end, dwell.start, dwell.elbow_config, dwell.q3, scaling))
+            q, qd = sample_moves(approach_moves, CONTROL_RATE_HZ)
+            sim.time_ns = self._elapsed_ns
+            sim.set_state(*(state or (q[0], qd[0])))
+            yield from controller.follow(q, qd)
+            sim.place_cart()
+            self._carts.append(replace(setup, start_ns=self.start_ns + self._elapsed_ns))
+            yield from controller.follow(*sample_moves(impact_moves, CONTROL_RATE_HZ))
+            previous_end, state = impact_moves[-1].end, (sim.q, sim.qd)

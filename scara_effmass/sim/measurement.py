@@ -5,19 +5,25 @@
 
 The converter oversamples eight times. Its linear-phase filter is flat up to 0.4535 of the sample rate, 100 dB down
 from 0.5465, and delays by 38 samples. The converter runs on its own clock.
+
+`SyntheticSignal` is not computed from any motion: noise and half-sine pulses in counts of the converter.
+
+Random numbers do not change with the numpy version: they use the raw bits of PCG64, which numpy keeps stable; its
+distributions may change.
 """
 
 from __future__ import annotations
 
 import math
 import random
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, final
+from functools import lru_cache
+from typing import TYPE_CHECKING, NamedTuple, final
 
 import numpy as np
+from numpy.random import PCG64
 
-from scara_effmass.sim.rng import normal, uniform
 from scara_effmass.values import FloatArray, ForceBlock
 
 if TYPE_CHECKING:
@@ -43,12 +49,63 @@ STAMP_JITTER_S = 20e-6
 """Largest additional delay of one block."""
 FRAME_ID = "force_sensor"
 SOURCE = "simulated force: MuJoCo cell, sensor 208C03 on NI-9230, AC coupled"
-_NOISE_STREAM, _STAMP_STREAM = 3, 4
 
 POSITION_STEP = np.array([2.0 * math.pi / 2**20, 2.0 * math.pi / 2**20, 1e-6, 2.0 * math.pi / 2**20])
 """Resolution of the simulated encoders [rad, rad, m, rad]."""
 VELOCITY_STEP = np.array([1e-4, 1e-4, 1e-5, 1e-4])
 """Resolution of the velocity estimates [rad/s, rad/s, m/s, rad/s]."""
+
+NOISE_SAMPLES = 2**21
+"""Period of the noise: 164 s at 12.8 kS/s, 16 s at 128 kS/s; 17 MB, for any number of channels."""
+CHANNEL_SPACING = NOISE_SAMPLES // 8
+"""Offset between the noise of consecutive channels."""
+_SYNTHETIC_CHUNK = 2**16
+
+PEAKS = (20.0, 800.0)
+"""Range of random peak forces [N], log-uniform."""
+DURATIONS = (0.5e-3, 4.0e-3)
+"""Range of random durations [s], uniform."""
+REBOUND_SHARE = 0.2
+"""Share of random pulses with a rebound."""
+REBOUND_PEAKS = (0.3, 0.6)
+"""Range of the ratio of a rebound's peak to the first peak."""
+REBOUND_GAPS = (0.01, 0.03)
+"""Range of the time from the end of the first contact to the rebound [s]."""
+
+_SYNTHETIC_STREAM, _PULSE_STREAM, _NOISE_STREAM, _STAMP_STREAM = 1, 2, 3, 4
+"""Keys of random numbers."""
+_NORMAL_CHUNK = 4096
+
+
+def uniform(key: tuple[int, ...], count: int) -> FloatArray:
+    """Return the first `count` numbers in [0, 1) of the stream `key`, with 53 random bits each."""
+    return _next_uniform(PCG64(list(key)), count)
+
+
+def _next_normal(bits: PCG64, count: int) -> FloatArray:
+    """Return `count` standard normal numbers from the next bits of a stream (Box-Muller); `count` is even."""
+    radius, angle = _next_uniform(bits, count).reshape(2, -1)
+    radius = np.sqrt(-2.0 * np.log1p(-radius))
+    return np.concatenate((radius * np.cos(2.0 * np.pi * angle), radius * np.sin(2.0 * np.pi * angle)))
+
+
+def normal(key: tuple[int, ...], first: int, count: int) -> FloatArray:
+    """Return `count` standard normal numbers of the endless stream `key`, from number `first` on.
+
+    Any part of the stream can be requested, in any order.
+    """
+    chunks = range(first // _NORMAL_CHUNK, (first + count - 1) // _NORMAL_CHUNK + 1)
+    joined = np.concatenate([np.empty(0), *(_normal_chunk(key, chunk) for chunk in chunks)])
+    return joined[first % _NORMAL_CHUNK :][:count]
+
+
+@lru_cache(maxsize=4)
+def _normal_chunk(key: tuple[int, ...], chunk: int) -> FloatArray:
+    return _next_normal(PCG64([*key, chunk]), _NORMAL_CHUNK)
+
+
+def _next_uniform(bits: PCG64, count: int) -> FloatArray:
+    return np.asarray((bits.random_raw(count) >> np.uint64(11)) * 2.0**-53)
 
 
 def quantize(q: FloatArray, qd: FloatArray, noise: random.Random) -> tuple[FloatArray, FloatArray]:
@@ -210,3 +267,110 @@ def measure_force(
             )
         )
     return tuple(blocks)
+
+
+class Pulse(NamedTuple):
+    """A half-sine pulse F(t) = peak sin(pi t / duration): `onset_s` [s], `peak_force` [N], `duration` [s]."""
+
+    onset_s: float
+    peak_force: float
+    duration: float
+    rebound: int = 0
+
+    @property
+    def impulse(self) -> float:
+        """Integral of F [N s]."""
+        return 2.0 / math.pi * self.peak_force * self.duration
+
+    def sample(self, sample_rate: float) -> tuple[int, FloatArray]:
+        """Return the number of the first sample in the pulse, and the force [N] from there to its end."""
+        onset = self.onset_s * sample_rate
+        first = math.ceil(onset)
+        numbers = np.arange(first, math.floor(onset + self.duration * sample_rate) + 1)
+        phase = np.pi * (numbers - onset) / (self.duration * sample_rate)
+        return first, self.peak_force * np.sin(phase)
+
+
+PulseSchedule = Callable[[int, int, int], Iterable[Pulse]]
+"""(channel, first, end) -> all pulses of the channel in the samples from `first` to before `end`, or more of them."""
+
+
+@dataclass(frozen=True, slots=True)
+class RandomPulses:
+    """An endless `PulseSchedule`: one pulse per `period` [s], half to one and a half periods apart.
+
+    It has no state: the number of a pulse is its random key. Pulses may overlap if the period is below 0.1 s.
+    """
+
+    seed: int
+    sample_rate: float
+    period: float
+
+    def __call__(self, channel: int, first: int, end: int) -> Iterator[Pulse]:
+        """See `PulseSchedule`."""
+        samples = self.period * self.sample_rate
+        # Pulse k starts k + 1 periods after the start, +- a quarter, and ends before the next one can start.
+        for number in range(max(0, math.floor(first / samples - 0.75)), max(0, math.ceil(end / samples - 0.75))):
+            key = (self.seed, _PULSE_STREAM, channel, number)
+            onset, peak, duration, rebounds, rebound_peak, gap = uniform(key, 6).tolist()
+            pulse = Pulse(
+                onset_s=(number + 0.75 + 0.5 * onset) * self.period,
+                peak_force=PEAKS[0] * (PEAKS[1] / PEAKS[0]) ** peak,
+                duration=_interpolate(DURATIONS, duration),
+            )
+            yield pulse
+            if rebounds < REBOUND_SHARE:
+                # A linear contact lasts equally long at any speed.
+                later_s = pulse.onset_s + pulse.duration + _interpolate(REBOUND_GAPS, gap)
+                force = pulse.peak_force * _interpolate(REBOUND_PEAKS, rebound_peak)
+                yield Pulse(later_s, force, pulse.duration, rebound=1)
+
+
+@final
+class SyntheticSignal:
+    """Synthetic force of several channels [N], compression positive, in whole counts.
+
+    `noise` is a standard deviation [N], `sensitivity` in [mV/N]. All channels share one noise of NOISE_SAMPLES,
+    CHANNEL_SPACING apart.
+    """
+
+    def __init__(
+        self,
+        *,
+        channels: int,
+        sample_rate: float,
+        noise: float,
+        seed: int,
+        sensitivity: float,
+        pulses: PulseSchedule,
+    ) -> None:
+        self.sample_rate = sample_rate
+        self.pulses = pulses
+        self.step = newtons_per_count(sensitivity)
+        """Resolution [N]."""
+        self.limit = self.step * MAX_COUNT
+        """Largest force that fits the converter [N]."""
+        self._starts = CHANNEL_SPACING * np.arange(channels)[:, np.newaxis]
+        self._noise = np.empty(NOISE_SAMPLES)
+        bits = PCG64([seed, _SYNTHETIC_STREAM])
+        for chunk in self._noise.reshape(-1, _SYNTHETIC_CHUNK):
+            chunk[:] = np.rint(_next_normal(bits, _SYNTHETIC_CHUNK) * (noise / self.step))
+
+    def samples(self, first: int, count: int) -> FloatArray:
+        """Return the samples (channels, count) from number `first` on, read-only."""
+        counts = np.take(self._noise, self._starts + np.arange(first, first + count), mode="wrap")
+        for channel, row in enumerate(counts):
+            for pulse in self.pulses(channel, first, first + count):
+                onset, force = pulse.sample(self.sample_rate)
+                begin, end = max(onset, first), min(onset + len(force), first + count)
+                if begin < end:
+                    row[begin - first : end - first] += np.rint(force[begin - onset : end - onset] / self.step)
+        np.clip(counts, -MAX_COUNT, MAX_COUNT, out=counts)
+        counts *= self.step
+        counts.flags.writeable = False
+        return counts
+
+
+def _interpolate(limits: tuple[float, float], share: float) -> float:
+    minimum, maximum = limits
+    return minimum + (maximum - minimum) * share

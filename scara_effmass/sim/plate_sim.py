@@ -15,8 +15,10 @@ import mujoco
 import numpy as np
 
 from scara_effmass.iso15066 import TRANSIENT_S, Limit
+from scara_effmass.iso15066.drives import servo_reduced_masses
 from scara_effmass.reference import RobotDynamics
-from scara_effmass.sim.collision_sim import sim_mjcf
+from scara_effmass.settings import ServoSettings
+from scara_effmass.sim.collision_sim import mass_matrix, sim_mjcf
 from scara_effmass.values import FloatArray
 
 PHASE_STEP = 0.04
@@ -24,27 +26,8 @@ PHASE_STEP = 0.04
 MAX_STEP_S = 2e-3
 """Longest time step without contact."""
 GRAVITY = -9.81
-
-
-class JointServo(NamedTuple):
-    """Joint position control with `bandwidth` [Hz] and `damping` ratio; it compensates gravity.
-
-    The reference keeps moving at constant velocity. `coupled` means computed torque, otherwise each joint has an
-    independent controller, tuned to the inertia of the joint at the start.
-    """
-
-    bandwidth: float
-    damping: float = 0.7
-    coupled: bool = True
-
-    @property
-    def omega(self) -> float:
-        """Angular frequency [rad/s]."""
-        return 2.0 * math.pi * self.bandwidth
-
-    def acceleration(self, error: FloatArray, error_rate: FloatArray) -> FloatArray:
-        """Return the demanded joint accelerations (n,) for the errors of position and velocity (n,)."""
-        return self.omega**2 * error + 2.0 * self.damping * self.omega * error_rate
+NORMALS = 24
+"""Number of plate normals among which the worst one for servo drives is searched."""
 
 
 class Peak(NamedTuple):
@@ -93,10 +76,8 @@ class PlateSim:
     def kinematics(self, q: FloatArray, point: int = 0) -> tuple[FloatArray, FloatArray]:
         """Return J_v (3, n) of contact point number `point`, and the mass matrix (n, n), at `q` (n,)."""
         self.data.qpos[:] = q
-        mujoco.mj_fwdPosition(self.model, self.data)
-        mass_matrix = np.zeros((self.n, self.n))
-        mujoco.mj_fullM(self.model, self.data, mass_matrix)
-        return self._jacobian(point).copy(), mass_matrix
+        matrix = mass_matrix(self.model, self.data)
+        return self._jacobian(point).copy(), matrix
 
     def gravity(self, q: FloatArray) -> FloatArray:
         """Return the joint torques (n,) that hold the arm against gravity at `q` (n,) [N m, N]."""
@@ -105,12 +86,27 @@ class PlateSim:
         mujoco.mj_forward(self.model, self.data)
         return np.array(self.data.qfrc_bias)
 
-    def worst_normal(self, q: FloatArray, qd: FloatArray, body_mass: float, point: int = 0) -> FloatArray:
-        """Return the unit normal (3,) along (A + I / m_H)^-1 v, where free joints give the largest force."""
-        jacobian, mass_matrix = self.kinematics(q, point)
-        mobility = jacobian @ np.linalg.solve(mass_matrix, jacobian.T)
-        normal = np.linalg.solve(mobility + np.eye(3) / body_mass, jacobian @ qd)
-        return np.asarray(normal / np.linalg.norm(normal))
+    def worst_normal(
+        self, q: FloatArray, qd: FloatArray, limit: Limit, servo: ServoSettings | None = None, point: int = 0
+    ) -> FloatArray:
+        """Return the unit normal (3,) along which the force is largest, in the pose of the first touch.
+
+        With a servo it follows from the two-mass model. It is one of (A + s I)^-1 v, where s ranges from 1 / m_H, for
+        free joints, to infinity, for an immovable robot.
+        """
+        jacobian, inertia = self.kinematics(q, point)
+        mobility, velocity = jacobian @ np.linalg.solve(inertia, jacobian.T), jacobian @ qd
+        least = 1.0 / limit.body_mass_kg
+        if servo is None:
+            normal = np.linalg.solve(mobility + least * np.eye(3), velocity)
+            return np.asarray(normal / np.linalg.norm(normal))
+        shifts = np.geomspace(least, 1e3 * (np.trace(mobility) + least), NORMALS)
+        normals = np.linalg.solve(mobility + shifts[:, None, None] * np.eye(3), velocity[:, None])[:, :, 0]
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        mobilities = np.einsum("ni,ij,nj->n", normals, mobility, normals)
+        k, m_h = np.array([limit.stiffness_n_m]), np.array([limit.body_mass_kg])
+        mu = servo_reduced_masses(mobilities, k, m_h, servo.bandwidth, servo.damping)[0]
+        return np.asarray(normals[np.argmax((normals @ velocity) ** 2 * mu)])
 
     def touch(
         self,
@@ -118,29 +114,30 @@ class PlateSim:
         qd: FloatArray,
         normal: FloatArray,
         limit: Limit,
-        servo: JointServo | None = None,
+        servo: ServoSettings | None = None,
         point: int = 0,
         pace: float = 1.0,
         phase_step: float = PHASE_STEP,
     ) -> Peak:
         """Return the peak of the force on a plate with the unit `normal` (3,) that contact point `point` touches.
 
-        Stiffness and mass of the plate are those of `limit`. Without `servo` the joints are free, gravity is off, and
-        the contact ends with the first separation. `pace` below 1 scales velocities, effort limits and gravity down and
-        the peak up, so that the arm stays in the pose of the first touch. Raises ArithmeticError if the simulation
-        diverges.
+        Stiffness and mass of the plate are those of `limit`. A `servo` compensates gravity and moves its reference on
+        at constant velocity; a controller per joint is tuned to the inertia of its joint at the start. Without `servo`
+        the joints are free, gravity is off, and the contact ends with the first separation. `pace` below 1 scales
+        velocities, effort limits and gravity down and the peak up, so that the arm stays in the pose of the first
+        touch. Raises ArithmeticError if the simulation diverges.
         """
         model, data, k = self.model, self.data, limit.stiffness_n_m
         mujoco.mj_resetData(model, data)
-        jacobian, mass_matrix = self.kinematics(q, point)
+        jacobian, inertia = self.kinematics(q, point)
         row = normal @ jacobian
-        rate = math.sqrt(k * (row @ np.linalg.solve(mass_matrix, row) + 1.0 / limit.body_mass_kg))
+        rate = math.sqrt(k * (row @ np.linalg.solve(inertia, row) + 1.0 / limit.body_mass_kg))
         coarse, duration = 0.0, 4.0 / rate
         model.opt.gravity[2] = 0.0
         velocity, effort = qd * pace, self._robot.effort_limits * pace
-        gains = None if servo is None or servo.coupled else np.diag(mass_matrix)
         if servo is not None:
-            rate, coarse, duration = max(rate, servo.omega), min(phase_step / servo.omega, MAX_STEP_S), TRANSIENT_S
+            omega = 2.0 * math.pi * servo.bandwidth
+            rate, coarse, duration = max(rate, omega), min(phase_step / omega, MAX_STEP_S), TRANSIENT_S
             model.opt.gravity[2] = GRAVITY * pace
         fine = phase_step / rate
         offset = float(normal @ self._position(point))
@@ -163,8 +160,8 @@ class PlateSim:
             torque = data.qfrc_applied
             torque[:] = 0.0
             if servo is not None:
-                demand = servo.acceleration(q + velocity * time - data.qpos, velocity - data.qvel)
-                torque[:] = self._torque(demand, gains).clip(-effort, effort)
+                error, error_rate = q + velocity * time - data.qpos, velocity - data.qvel
+                torque[:] = self._torque(servo, error, error_rate, np.diag(inertia)).clip(-effort, effort)
             if force > 0.0:
                 torque -= force * (normal @ self._jacobian(point))
             mujoco.mj_fwdAcceleration(model, data)
@@ -178,15 +175,19 @@ class PlateSim:
             time += step
         return Peak(peak.force / pace, peak.time, peak.turn)
 
-    def _torque(self, acceleration: FloatArray, gains: FloatArray | None) -> FloatArray:
-        """Return the joint torques for `acceleration` (n,), by computed torque or the inertias `gains`."""
-        torque = np.zeros(self.n)
-        if gains is None:
+    def _torque(
+        self, servo: ServoSettings, error: FloatArray, error_rate: FloatArray, inertias: FloatArray
+    ) -> FloatArray:
+        """Return the joint torques (n,) for errors of position and velocity (n,).
+
+        `inertias` (n,) are those to which a controller per joint is tuned.
+        """
+        omega = 2.0 * math.pi * servo.bandwidth
+        acceleration = omega**2 * error + 2.0 * servo.damping * omega * error_rate
+        torque = inertias * acceleration
+        if servo.computed_torque:
             mujoco.mj_mulM(self.model, self.data, torque, acceleration)
-        else:
-            torque[:] = gains * acceleration
-        torque += self.data.qfrc_bias
-        return torque
+        return np.asarray(torque + self.data.qfrc_bias)
 
     def _position(self, point: int) -> FloatArray:
         body, place = self._points[point]

@@ -5,10 +5,11 @@ The paper: A. C., M. B., M. T., A. D. and G. R. (initials as in its author contr
 simplified lumped-parameter model of the effective mass, validated by impacts of an Omron i4-550L on a cart.
 
 The paper: `scara` has the three models of the robot and the poses, `runs` reads the recordings, `claims` compares the
-paper's numbers with ours, `figures` draws, and `figure_set` writes everything. `other_robot` draws the figures that
-another robot can have.
+paper's numbers with ours, and `figures` draws and writes everything. `other_robot` draws the figures that another robot
+can have.
 
-Simulated experiments: `campaign` records the paper's experiment, `shipped_bags` those in `bags/`; `random_impacts`
-simulates contacts at the allowed speed, and `evidence` reports on them. `bounds`, `power` and `lies` are commands:
+Simulated experiments: `campaign` records the paper's experiment, `shipped_bags` what is in `bags/`. `bounds` simulates
+contacts at the allowed speed, `evidence` random ones with a report, and `power` wrong campaigns; `lies` makes joint
+states that deceive the monitor. `bounds`, `power`, `lies` and `shipped_bags` are commands:
 `python -m scara_effmass.studies.power`.
 """

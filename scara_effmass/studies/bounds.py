@@ -10,25 +10,127 @@ of `scara-effmass evidence`.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich import box
 from rich.console import Console
 from rich.table import Table
-from scipy.optimize import linprog
+from scipy.optimize import brentq, linprog
 
-from scara_effmass.iso15066 import limits_for
-from scara_effmass.settings import MonitorSettings
-from scara_effmass.sim.plate_sim import JointServo
-from scara_effmass.studies.random_impacts import NO_MARGINS, ROBOTS, MonitoredArm, arm_of
-from scara_effmass.values import FloatArray
+from scara_effmass.input_files import read_table
+from scara_effmass.iso15066 import Limit, limits_for
+from scara_effmass.model.load import load_robot
+from scara_effmass.reference import RobotDynamics
+from scara_effmass.safety import Monitor
+from scara_effmass.settings import MonitorSettings, ServoSettings
+from scara_effmass.share import share
+from scara_effmass.sim.plate_sim import PlateSim
+from scara_effmass.values import FloatArray, Verdict
 
 SMALL_TURN = 0.02
 """Turn of the joints [rad, m] until the peak that hardly changes the effective mass."""
 HELD = 1e-4
 """Pace at which the arm stays in the pose of the first touch."""
+CREEP_MPS = 0.006
+"""Speed just above the default `speed_threshold`, below which a contact point has no direction."""
+TINY = 1e-12
+"""Offset of joint velocities, because the monitor takes a velocity of exactly 0 for a missing one."""
+BELOW = 1.0 - 1e-9
+"""Factor on the largest allowed motion that keeps rounding from exceeding it."""
+MIN_LEVER = 1e-3
+"""Ratio of contact point speed to joint speed [m] below which a motion is drawn again."""
+
+TABLES = read_table(__file__, "bounds.yaml")
+ROBOTS: Mapping[str, Mapping[str, Any]] = TABLES["robots"]
+"""A SCARA, two arms with six axes and one with seven."""
+NO_MARGINS: Mapping[str, Any] = TABLES["no_margins"]
+
+
+class MonitoredArm:
+    """One robot in the monitor (Pinocchio) and in the simulation (MuJoCo)."""
+
+    def __init__(self, path: Path, settings: MonitorSettings | None = None, armature: float = 0.0) -> None:
+        """Load the robot file `path` with the contact points of `settings`; `armature` [kg m2] of every joint."""
+        settings = settings or MonitorSettings()
+        if armature:
+            names = load_robot(path, settings).joint_names
+            settings = settings.model_copy(update={"armature": tuple(f"{name}={armature}" for name in names)})
+        self.dynamics = RobotDynamics(load_robot(path, settings))
+        self.sim = PlateSim(path, self.dynamics)
+        limits = self.dynamics.robot.model
+        self.lower = np.maximum(limits.lowerPositionLimit, -math.pi)
+        self.upper = np.minimum(limits.upperPositionLimit, math.pi)
+        self.max_speed = limits.velocityLimit
+        self._monitors: dict[MonitorSettings, Monitor] = {}
+
+    def draw_motion(
+        self, rng: np.random.Generator, point: int = 0, *, straight: bool = True
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return a random pose (n,), and joint velocities (n,) that move contact point `point` at CREEP_MPS.
+
+        A `straight` motion has a random direction and the smallest joint velocities for it; otherwise the joint
+        velocities are random.
+        """
+        while True:
+            q = rng.uniform(self.lower, self.upper)
+            jacobian, _ = self.sim.kinematics(q, point)
+            qd = np.linalg.pinv(jacobian) @ rng.normal(size=3)
+            if not straight:
+                qd = rng.uniform(-self.max_speed, self.max_speed)
+            speed = float(np.linalg.norm(jacobian @ qd))
+            if speed > MIN_LEVER * np.linalg.norm(qd):
+                return q, qd * (CREEP_MPS / speed) + TINY
+
+    def plate_normal(
+        self,
+        plate: str,
+        q: FloatArray,
+        qd: FloatArray,
+        limit: Limit,
+        rng: np.random.Generator,
+        servo: ServoSettings | None = None,
+        point: int = 0,
+    ) -> FloatArray:
+        """Return the unit normal (3,) of a `plate` at the worst angle, across the velocity, or at a random angle."""
+        if plate == "worst":
+            return self.sim.worst_normal(q, qd, limit, servo, point)
+        velocity = self.sim.kinematics(q, point)[0] @ qd
+        normal = velocity if plate == "velocity" else rng.normal(size=3)
+        return np.asarray(normal * (np.sign(normal @ velocity) / np.linalg.norm(normal)))
+
+    def allowed(self, q: FloatArray, qd: FloatArray, settings: MonitorSettings, point: int = 0) -> FloatArray | None:
+        """Return `qd` (n,) scaled to the speed that the monitor allows; zeros if it allows no motion.
+
+        None if a joint would exceed its speed limit, or if the monitor has no verdict.
+        """
+        monitor = self._monitors.get(settings) or self._monitors.setdefault(settings, Monitor(self.dynamics, settings))
+
+        def margin(scale: float) -> float:
+            """Return allowed minus actual speed [m/s]; NaN without a verdict."""
+            contact = monitor.assess_configurations(q[None], scale * qd[None]).contacts[0, point]
+            is_unknown = contact["verdict"] == Verdict.UNKNOWN
+            return math.nan if is_unknown else float(contact["allowable_speed"] - contact["speed"])
+
+        fastest = float(np.min(self.max_speed / np.maximum(np.abs(qd), TINY)))
+        slow, fast = margin(1.0), margin(fastest) if fastest > 1.0 else math.nan
+        if slow <= 0.0:
+            return np.zeros_like(qd)
+        if not (slow > 0.0 > fast):
+            return None
+        return qd * (BELOW * float(brentq(margin, 1.0, fastest, xtol=1e-12, rtol=1e-10)))
+
+
+@cache
+def arm_of(robot: str) -> MonitoredArm:
+    """Return the arm of ROBOTS named `robot`."""
+    case = ROBOTS[robot]
+    settings = MonitorSettings(contact_points=tuple(case["contact_points"]))
+    return MonitoredArm(share("config", *case["file"]), settings, case.get("armature", 0.0))
 
 
 def settings_for(region: str = "", **settings: object) -> MonitorSettings:
@@ -54,7 +156,7 @@ def contacts(
     count: int,
     rng: np.random.Generator,
     *,
-    pushing: JointServo | None = None,
+    pushing: ServoSettings | None = None,
     plate: str = "worst",
     pace: float = 1.0,
     **settings: object,
@@ -68,11 +170,7 @@ def contacts(
     results = []
     for _ in range(count):
         q, qd = draw(arm, rng, checked)
-        velocity = arm.sim.kinematics(q)[0] @ qd
-        normal = arm.sim.worst_normal(q, qd, limit.body_mass_kg)
-        if plate != "worst":
-            normal = velocity if plate == "velocity" else rng.normal(size=3)
-            normal *= np.sign(normal @ velocity) / np.linalg.norm(normal)
+        normal = arm.plate_normal(plate, q, qd, limit, rng)
         peak = arm.sim.touch(q, qd, normal, limit, pushing, pace=pace)
         results.append((peak.force / limit.permissible_force_n, peak.turn))
     return np.array(results)
@@ -134,17 +232,9 @@ def main() -> None:
         for bandwidth in (1.0, 5.0, 20.0):
             for region in ("abdomen", "chest", "lower_leg"):
                 for drives in ("servo", "free"):
-                    options = {"servo": {"bandwidth": bandwidth, "computed_torque": True}} if drives == "servo" else {}
-                    row(
-                        table,
-                        (name, f"{bandwidth:g} Hz", region, drives),
-                        arm,
-                        region,
-                        count,
-                        pushing=JointServo(bandwidth),
-                        drives=drives,
-                        **options,
-                    )
+                    servo = ServoSettings(bandwidth=bandwidth, computed_torque=True)
+                    labels = (name, f"{bandwidth:g} Hz", region, drives)
+                    row(table, labels, arm, region, count, pushing=servo, drives=drives, servo=servo)
     console.print(table)
     ur5, forces = arms["UR5"], []
     for _ in range(args.poses):

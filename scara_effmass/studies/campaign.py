@@ -13,7 +13,7 @@ from typing import NamedTuple
 from scara_effmass.bags.bag import run_infos
 from scara_effmass.bags.files import open_bag
 from scara_effmass.errors import BagError, OutputError
-from scara_effmass.sim.cart import POLYETHYLENE, SpringContact
+from scara_effmass.sim.collision_sim import POLYETHYLENE, SpringContact
 from scara_effmass.sim.experiment import (
     CONFIGURATIONS,
     DWELL_S,
@@ -24,9 +24,8 @@ from scara_effmass.sim.experiment import (
     ImpactSetup,
     run_impact,
 )
-from scara_effmass.sim.measurement import ForceSensor
+from scara_effmass.sim.measurement import ForceSensor, uniform
 from scara_effmass.sim.recordings import EPOCH_NS, SEED, write_recording
-from scara_effmass.sim.rng import uniform
 from scara_effmass.values import RunInfo
 
 REVISION = 2
@@ -104,7 +103,7 @@ class Run(NamedTuple):
             "guide_friction": setup.cart.guide_friction,
             "noise": setup.sensor.noise,
             "servo_bandwidth": setup.servo.bandwidth,
-            "servo_damping_ratio": setup.servo.damping_ratio,
+            "servo_damping_ratio": setup.servo.damping,
         }
         return "\n".join([SUMMARY, *(f"{name} = {value}" for name, value in settings.items())])
 

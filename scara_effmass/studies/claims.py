@@ -50,7 +50,7 @@ MIN_CORRELATION = 0.99
 """Pearson's r of an agreement, chosen here: the paper shows curves and prints no number."""
 
 
-class Basis(Enum):
+class Basis(str, Enum):
     """What an agreement proves; the page explains it."""
 
     GIVEN = "given"
@@ -58,7 +58,7 @@ class Basis(Enum):
     RESULT = "result"
 
 
-class Outcome(Enum):
+class Outcome(str, Enum):
     """Result of the comparison."""
 
     MATCH = "match"

@@ -1,8 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Report of random impacts at the allowed speed: how often and by how much the peak force exceeds the limit."""
+"""Random impacts at the speed that the monitor allows: how often and by how much does the peak force exceed the limit?
+
+Pose, motion, contact point, region, plate normal, drives and the errors of the link masses are random. The same impact
+is simulated once for each setting of the monitor, at the speed that this setting allows. The table of the impacts is a
+CSV file that grows with each, so that an interrupted run can be resumed.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,7 +25,24 @@ from scara_effmass import __version__
 from scara_effmass.analysis.pages import render
 from scara_effmass.analysis.plot_style import CYCLE, INK, STYLE, new_figure
 from scara_effmass.analysis.report import report_figure, write_report_files
+from scara_effmass.errors import OutputError
+from scara_effmass.iso15066 import Limit, limits_for
+from scara_effmass.model.lumping import is_scara
+from scara_effmass.reference import RobotDynamics
+from scara_effmass.settings import MonitorSettings, ServoSettings
+from scara_effmass.sim.plate_sim import Peak
+from scara_effmass.studies.bounds import ROBOTS, TABLES, arm_of
 from scara_effmass.values import FloatArray
+
+Row = dict[str, str | int | float]
+Simulate = Callable[[int], list[Row]]
+
+SETTINGS: Mapping[str, Mapping[str, Any]] = TABLES["settings"]
+"""Settings of the monitor that are compared, as changes of its defaults."""
+BANDWIDTHS_HZ = (1.0, 2.0, 5.0, 10.0, 20.0)
+DAMPING_RATIOS = (0.5, 0.7, 1.0)
+FREE, COMPUTED_TORQUE, PER_JOINT = "free", "computed_torque", "per_joint"
+"""Drives: free joints, or a servo, by computed torque or by a controller per joint."""
 
 TABLE, PAGE, SUMMARY, FIGURE = "impacts.csv", "report.html", "summary.json", "evidence"
 LABELS = {
@@ -29,12 +53,12 @@ LABELS = {
 }
 """The settings that are compared."""
 DRIVES = {
-    "free": "joints free",
-    "computed_torque": "servo, computed torque",
-    "per_joint": "servo, a controller per joint",
+    FREE: "joints free",
+    COMPUTED_TORQUE: "servo, computed torque",
+    PER_JOINT: "servo, a controller per joint",
 }
 PLATES = {"worst": "worst plate normal", "random": "random plate normal"}
-GOALS = (("default", "free"), ("servo", "computed_torque"), ("servo", "per_joint"))
+GOALS = (("default", FREE), ("servo", COMPUTED_TORQUE), ("servo", PER_JOINT))
 """Settings, each with the drives that it assumes: the force must keep the limit."""
 MAX_SHARE = 1e-3
 """Largest share of impacts above the limit that meets the goal."""
@@ -42,6 +66,161 @@ MIN_MEDIAN = 0.75
 """Smallest median of peak / limit, at the worst plate normal, that meets the goal."""
 CONFIDENCE = 0.95
 WORST_ROWS = 20
+
+
+class Impact(NamedTuple):
+    """One random impact, and the joint velocities `qd` (n,) that each setting allows.
+
+    `pushing` is the servo, None for free joints. `mass_factors` (n,) are the true masses behind the joints over those
+    of the robot file. `draws` counts the motions drawn until one for which every setting keeps all joints within their
+    speed limits.
+    """
+
+    robot: str
+    point: int
+    limit: Limit
+    plate: str
+    normal: FloatArray
+    servo: ServoSettings
+    pushing: ServoSettings | None
+    drives: str
+    mass_factors: FloatArray
+    q: FloatArray
+    qd: Mapping[str, FloatArray]
+    draws: int
+
+
+def draw_impact(seed: int, index: int) -> Impact:
+    """Return random impact number `index` of the series `seed`.
+
+    Robot, plate normal (the worst one of the pose, or a random one) and drives (free joints, or a servo) take turns. A
+    motion is drawn again if a setting allows a joint to exceed its speed limit.
+    """
+    rng = np.random.default_rng((seed, index))
+    turn, robot = divmod(index, len(ROBOTS))
+    name = list(ROBOTS)[robot]
+    arm = arm_of(name)
+    limits = limits_for(MonitorSettings())
+    bandwidth, damping = float(rng.choice(BANDWIDTHS_HZ)), float(rng.choice(DAMPING_RATIOS))
+    servo = ServoSettings(bandwidth=bandwidth, damping=damping, computed_torque=bool(rng.integers(2)))
+    uncertainty = MonitorSettings().mass_uncertainty
+    factors = rng.uniform(1.0 - uncertainty, 1.0 + uncertainty, arm.sim.n)
+    drives = FREE if turn // 2 % 2 == 0 else COMPUTED_TORQUE if servo.computed_torque else PER_JOINT
+    arm.sim.scale_masses(factors)
+    draws = 0
+    while True:
+        draws += 1
+        point = int(rng.integers(len(arm.dynamics.contact_points)))
+        limit = limits[int(rng.integers(len(limits)))]
+        q, creep = arm.draw_motion(rng, point, straight=bool(rng.integers(2)))
+        settings = settings_of(arm.dynamics, limit.region, servo)
+        qd: dict[str, FloatArray] = {}
+        for setting, values in settings.items():
+            motion = arm.allowed(q, creep, values, point)
+            if motion is None:
+                break
+            qd[setting] = motion
+        else:
+            break
+    plate = "worst" if turn % 2 == 0 else "random"
+    pushing = None if drives == FREE else servo
+    normal = arm.plate_normal(plate, q, creep, limit, rng, pushing, point)
+    return Impact(name, point, limit, plate, normal, servo, pushing, drives, factors, q, qd, draws)
+
+
+def settings_of(dynamics: RobotDynamics, region: str, servo: ServoSettings) -> dict[str, MonitorSettings]:
+    """Return SETTINGS for one body region and one servo; robots other than a SCARA have no setting `paper`."""
+    values: dict[str, Any] = {"body_regions": (region,), "servo": servo}
+    if not is_scara(dynamics.robot):
+        values["effective_mass_model"] = "full"
+    return {
+        name: MonitorSettings.model_validate({**values, **changes})
+        for name, changes in SETTINGS.items()
+        if is_scara(dynamics.robot) or changes.get("effective_mass_model") != "lumped"
+    }
+
+
+def simulate(seed: int, index: int) -> list[Row]:
+    """Return a row for each setting of random impact number `index`; names hold the units, vectors are text."""
+    impact = draw_impact(seed, index)
+    arm, servo = arm_of(impact.robot), impact.servo
+    jacobian, _ = arm.sim.kinematics(impact.q, impact.point)
+    rows: list[Row] = []
+    for setting, qd in impact.qd.items():
+        peak = Peak(0.0, 0.0, 0.0)
+        if qd.any():
+            peak = arm.sim.touch(impact.q, qd, impact.normal, impact.limit, impact.pushing, impact.point)
+        rows.append(
+            {
+                "index": index,
+                "robot": impact.robot,
+                "contact_point": arm.dynamics.contact_points[impact.point],
+                "region": impact.limit.region,
+                "plate": impact.plate,
+                "drives": impact.drives,
+                "bandwidth_hz": servo.bandwidth,
+                "damping": servo.damping,
+                "draws": impact.draws,
+                "setting": setting,
+                "allowable_speed_m_s": float(np.linalg.norm(jacobian @ qd)),
+                "limit_n": impact.limit.permissible_force_n,
+                "peak_n": peak.force,
+                "ratio": peak.force / impact.limit.permissible_force_n,
+                "time_to_peak_s": peak.time,
+                "turn_to_peak": peak.turn,
+                "normal": _text(impact.normal),
+                "mass_factors": _text(impact.mass_factors),
+                "q": _text(impact.q),
+                "qd": _text(qd),
+            }
+        )
+    return rows
+
+
+def _text(vector: FloatArray) -> str:
+    return " ".join(map(repr, vector.tolist()))
+
+
+def extend_table(
+    path: Path,
+    seed: int,
+    impacts: int,
+    run: Callable[[Simulate, Sequence[int]], Iterable[list[Row]]] = map,
+) -> Iterator[int]:
+    """Append random impacts of the series `seed` to the CSV file `path` until it has `impacts`; yield their number.
+
+    The last impact of an existing table is simulated again and must give the same rows, so that the result is that of a
+    run without interruption. `run` simulates impacts by their numbers and yields their rows in that order. Raises
+    OutputError if the table has another seed or version, or cannot be written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("a+", encoding="utf-8", errors="replace", newline="\n") as file:
+            file.seek(0)
+            text = file.read()
+            lines = [line for line in text.splitlines(keepends=True) if line.endswith("\n")]
+            number = lines[-1].partition(",")[0] if lines else ""
+            last = int(number) if number.isdecimal() else 0
+            kept = [line for line in lines if not line.startswith(f"{last},")]
+            rows = simulate(seed, last)
+            header, again = ",".join(rows[0]) + "\n", _lines(rows)
+            is_same = lines[:1] == [header] and again.startswith("".join(lines[len(kept) :]))
+            if not (is_same or header.startswith(text)):
+                raise OutputError(f"{path}: must be of this seed and version; choose another folder, or use --force")
+            file.truncate(sum(map(len, kept)))
+            file.write(again if kept else header + again)
+            file.flush()
+            yield last + 1
+            for index, rows in enumerate(run(partial(simulate, seed), range(last + 1, impacts)), start=last + 1):
+                file.write(_lines(rows))
+                file.flush()
+                yield index + 1
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from None
+
+
+def _lines(rows: Iterable[Row]) -> str:
+    return "".join(",".join(map(str, row.values())) + "\n" for row in rows)
 
 
 class Group(NamedTuple):
@@ -67,7 +246,7 @@ class Evidence:
     """Statistics of a table of random impacts, a row per impact and setting."""
 
     def __init__(self, path: Path) -> None:
-        """Read the table that `sim.impact_table.extend_table` wrote."""
+        """Read the table that `extend_table` wrote."""
         self.table = csv.read_csv(path)
         self.impacts = int(compute.count_distinct(self.table["index"]).as_py())
         self.robots = list(dict.fromkeys(self.table["robot"].to_pylist()))

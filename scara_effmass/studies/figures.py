@@ -1,9 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of the paper: poses, maps and distribution of masses and of the simplified model's error, impact tests."""
+"""Figures of the paper: poses, maps and distribution of masses and of the simplified model's error, impact tests.
+
+`make_figure_set` writes all of them with a page and the claims, or nothing.
+"""
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 import matplotlib as mpl
@@ -14,9 +18,15 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import Stroke, withStroke
 
-from scara_effmass.analysis.plot_style import CYCLE, INK, ISO_RED, MARKERS, new_figure
+from scara_effmass import __version__
+from scara_effmass.analysis.output import check_output_files
+from scara_effmass.analysis.pages import render
+from scara_effmass.analysis.plot_style import CYCLE, INK, ISO_RED, MARKERS, STYLE, new_figure
+from scara_effmass.analysis.report import figure_files, report_figure, write_report_files
+from scara_effmass.input_files import read_table
 from scara_effmass.iso15066 import reduced_mass
 from scara_effmass.sim.motion import ElbowConfig
+from scara_effmass.studies.claims import Claim, Outcome, all_claims
 from scara_effmass.studies.runs import (
     FigureInputs,
     Point,
@@ -34,7 +44,10 @@ from scara_effmass.studies.scara import (
     OBSTACLES_KG,
     SHOWN_OBSTACLE_KG,
     JointAngles,
+    ModelAgreement,
     Scara,
+    compare_models,
+    equal_area_poses,
     joint_grid,
     polar_grid,
     relative_error,
@@ -44,6 +57,7 @@ from scara_effmass.studies.scara import (
 )
 from scara_effmass.values import FloatArray
 
+PAGE, CLAIMS = "index.html", "claims.json"
 LIGHT_Q1, HEAVY_Q1 = math.radians(25.0), math.radians(-50.0)
 """Angles of the two poses in Fig. 7, chosen here: the text of the paper does not give them."""
 CIRCLES, RAYS = 200, 721
@@ -395,3 +409,68 @@ def _point_name(point: Point) -> str:
     """Return the point as the paper writes it, in [mm]."""
     x, y = (round(1e3 * coordinate) for coordinate in point)
     return f"({x}, {y})".replace("-", "\N{MINUS SIGN}")
+
+
+DrawFigure = Callable[[FigureInputs], Figure]
+_DRAW: tuple[DrawFigure, ...] = (
+    *(figure_6, figure_7, figure_8, figure_9, figure_10, figure_11),
+    *(figure_12, figure_14, figure_15, figure_17, figure_18, figure_19),
+)
+_CAPTIONS = read_table(__file__, "captions.yaml")
+FIGURES = {draw: str(_CAPTIONS[draw.__name__]) for draw in _DRAW}
+"""Captions by the functions that draw the figures; the files have the names of the functions."""
+STEPS = len(FIGURES) + 1
+"""Number of calls of `advance` in `make_figure_set`."""
+
+
+@dataclass(frozen=True, slots=True)
+class FigureSet:
+    """Names of the figures, the claims, and the agreement of the two models."""
+
+    figures: tuple[str, ...]
+    claims: tuple[Claim, ...]
+    agreement: ModelAgreement
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Number of claims by outcome."""
+        return {outcome.value: sum(claim.outcome is outcome for claim in self.claims) for outcome in Outcome}
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the content of `claims.json`."""
+        return {
+            "scara_effmass": __version__,
+            "figures": list(self.figures),
+            "counts": self.counts,
+            "closed_form_check": self.agreement._asdict(),
+            "claims": list(map(asdict, self.claims)),
+        }
+
+
+def make_figure_set(
+    inputs: FigureInputs,
+    folder: Path,
+    *,
+    overwrite: bool,
+    advance: Callable[[], object],
+    captions: dict[DrawFigure, str] = FIGURES,
+) -> FigureSet:
+    """Write figures (PNG and SVG), `index.html` and `claims.json` into `folder`; call `advance` after each step.
+
+    Raises OutputError, before anything is drawn, where a file exists.
+    """
+    names = tuple(draw.__name__ for draw in captions)
+    check_output_files(folder, [PAGE, CLAIMS, *figure_files(names)], overwrite=overwrite)
+    figures = []
+    for name, (draw, caption) in zip(names, captions.items(), strict=True):
+        with mpl.rc_context(STYLE):
+            figures.append(report_figure(name, name.replace("figure_", "Fig. "), caption, draw(inputs)))
+        advance()
+    # Not on the joint grid: with a stretched arm the tool cannot move along n.
+    agreement = compare_models(inputs.dynamics, inputs.scara, *equal_area_poses(inputs.scara))
+    claims = tuple(all_claims(inputs.dynamics, inputs.scara, inputs.shown_run, inputs.runs))
+    figure_set = FigureSet(names, claims, agreement)
+    advance()
+    page = render("paper.html", version=__version__, figures=figures, figure_set=figure_set)
+    write_report_files(folder, {PAGE: page, CLAIMS: figure_set.as_dict()}, figures, overwrite=overwrite)
+    return figure_set

@@ -28,7 +28,8 @@ from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
-from scara_effmass.values import Decision, FloatArray, JointState, Verdict, severity
+from scara_effmass.sim.motion import QuinticScaling, TrapezoidalScaling
+from scara_effmass.values import FloatArray, JointState, Verdict, severity
 
 ROOT = share("bags").parent
 ROBOTS = {
@@ -44,17 +45,17 @@ RECORDINGS = {
         MonitorSettings(effective_mass_model="full"),
     ),
 }
-EXACT = {"position_tolerance": 0.0, "velocity_tolerance": 0.0, "max_velocity_lag": 0.0, "release_time": 0.0}
+EXACT = {"position_tolerance": 0.0, "velocity_tolerance": 0.0}
 COMMAND_TOLERANCE = 0.05
 """Of the positions against the commands [rad]."""
-TINY = 1e-9
-"""The monitor takes a velocity of exactly 0 for a missing one."""
 NOW = 1_767_225_600_000_000_000
 RATE_HZ = 10_000
 DURATION_S = 4.0
 MAX_LAG_S = 0.03
 MAX_ANGLE, MAX_SPEED = 2.4, 3.14
 REPEAT_S = 0.1
+TRAPEZOIDAL, QUINTIC = TrapezoidalScaling(length=1.0, speed=1.25, acceleration=6.25), QuinticScaling(1.0)
+"""Moves of 1 s; the trapezoidal one accelerates for 0.2 s."""
 SETTLE_NS = 500_000_000
 """Time within which velocities of exactly 0 are confirmed."""
 
@@ -122,11 +123,7 @@ def motion(
         points += [points[-1], goal]
     index = np.searchsorted(knots, t, "right") - 1
     s = (t - np.array(knots)[index]) / np.diff(knots)[index]
-    ramp = 0.2
-    trapezoid = (np.minimum(s, ramp) ** 2 - np.maximum(s - 1.0 + ramp, 0.0) ** 2) / (2.0 * ramp) + np.maximum(
-        s - ramp, 0.0
-    )
-    blend = trapezoid / (1.0 - ramp) if kind == 1 else s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
+    blend, _ = (TRAPEZOIDAL if kind == 1 else QUINTIC).at(s)
     return np.asarray(np.array(points)[index] + np.diff(points, axis=0)[index] * blend[:, None])
 
 
@@ -153,20 +150,11 @@ def draw(rng: np.random.Generator, dynamics: RobotDynamics) -> Run:
     return Run(rate, stamps.tolist(), dense_q[index], dense_qd[index], q, qd)
 
 
-def worst(decision: Decision | None) -> int:
-    """Return the severity of the verdict at the worst contact point."""
-    return max(severity(contact.verdict) for contact in decision.contacts) if decision else 0
-
-
 def true_violations(run: Run, dynamics: RobotDynamics, settings: MonitorSettings) -> np.ndarray:
     """Return which of the true states (m,) are a VIOLATION at any contact point."""
     monitor = Monitor(dynamics, settings.model_copy(update=EXACT))
-    violations = []
-    for stamp_ns, q, qd in zip(run.stamps_ns, run.true_q, run.true_qd + TINY, strict=True):
-        monitor.clear_history()
-        decision = monitor.assess(JointState(stamp_ns, dynamics.robot.joint_names, q, qd), stamp_ns)
-        violations.append(worst(decision) == severity(Verdict.VIOLATION))
-    return np.array(violations)
+    assessments = monitor.assess_configurations(run.true_q, run.true_qd)
+    return np.asarray((assessments.contacts["verdict"] == Verdict.VIOLATION).any(axis=1))
 
 
 def shown_severities(
@@ -183,7 +171,7 @@ def shown_severities(
         if commands:
             monitor.take_command(JointState(stamp_ns, names, command, np.empty(0)), stamp_ns)
         decision = monitor.assess(JointState(stamp_ns, names, *reported), stamp_ns)
-        shown.append(worst(decision))
+        shown.append(severity(decision.verdict) if decision else 0)
     return np.array(shown)
 
 
@@ -231,7 +219,7 @@ def main() -> None:
         for path in find_bags(ROOT / name):
             with closing(open_bag(path)) as bag:
                 states = list(assessed_rows(bag, joint_state_topic(bag, None), Monitor(dynamics, settings)))
-            unknown += [worst(state.decision) == severity(Verdict.UNKNOWN) for state in states]
+            unknown += [state.decision.verdict is Verdict.UNKNOWN for state in states]
             late += [state.log_time_ns - states[0].log_time_ns > SETTLE_NS for state in states]
         counts = len(unknown), sum(unknown), sum(np.logical_and(unknown, late))
         table.add_row(name, *map(str, counts))

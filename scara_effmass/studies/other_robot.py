@@ -18,7 +18,7 @@ from scara_effmass.analysis.workspace_map import Cells, Plane, sample_workspace
 from scara_effmass.errors import RobotError
 from scara_effmass.iso15066 import reduced_mass
 from scara_effmass.safety import Monitor
-from scara_effmass.studies.figure_set import PAGE
+from scara_effmass.studies.figures import PAGE
 from scara_effmass.studies.scara import OBSTACLES_KG, SHOWN_OBSTACLE_KG, relative_error
 from scara_effmass.values import FloatArray, Vector3
 

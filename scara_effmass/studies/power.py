@@ -34,7 +34,7 @@ from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import DetectionSettings, MonitorSettings, ValidatorSettings
 from scara_effmass.share import share
-from scara_effmass.sim.cart import SpringContact
+from scara_effmass.sim.collision_sim import SpringContact
 from scara_effmass.sim.experiment import OBSTACLE_MASSES, ImpactRun, run_impact
 from scara_effmass.studies.campaign import Campaign
 from scara_effmass.values import Decision, ForceBlock, Mobility6

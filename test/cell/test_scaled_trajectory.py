@@ -14,7 +14,7 @@ from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
 from scara_effmass.sim.motion import sample_moves
-from scara_effmass.sim.recordings import tour_moves
+from scara_effmass.studies.shipped_bags import tour_moves
 from scara_effmass.values import FloatArray, Verdict
 
 RATE_HZ = 250

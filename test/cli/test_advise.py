@@ -11,7 +11,8 @@ from matplotlib.image import imread
 from scara_effmass.analysis.assessment import generated_description
 from scara_effmass.bags.files import open_bag
 from scara_effmass.sim.motion import sample_moves
-from scara_effmass.sim.recordings import EPOCH_NS, JOINTS, tour_moves, write_recording
+from scara_effmass.sim.recordings import EPOCH_NS, JOINTS, write_recording
+from scara_effmass.studies.shipped_bags import tour_moves
 from scara_effmass.values import JointState, RunInfo
 from test.cli.conftest import Cli, Refused
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import scara_effmass.sim.live  # noqa: F401 - importing MuJoCo starts a process, which a test must not
+import scara_effmass.sim.experiment  # noqa: F401 - importing MuJoCo starts a process, which a test must not
 from scara_effmass.daq import make_source
 from scara_effmass.daq.sim_source import HalfSineSource, SimCellSource
 from scara_effmass.daq.source import ForceSource, Reading

@@ -6,7 +6,7 @@ from scara_effmass.daq import make_source
 from scara_effmass.daq.sim_source import HalfSineSource
 from scara_effmass.daq.source import Reading
 from scara_effmass.settings import DaqSettings, ForceSourceKind, SensorSettings, SimSettings
-from scara_effmass.sim.synthetic_force import RandomPulses, SyntheticSignal
+from scara_effmass.sim.measurement import RandomPulses, SyntheticSignal
 from test.daq.force_bag import Clock
 
 NS = 1_000_000_000

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scara_effmass.impacts.baseline import BASELINE_FRAMES
 from scara_effmass.impacts.detector import Detector
+from scara_effmass.impacts.segment import BASELINE_FRAMES
 from scara_effmass.settings import DetectionSettings
 from scara_effmass.values import FloatArray, ForceBlock, Impact
 from test.impacts.conftest import AddPulse, Detect, MakeBlock

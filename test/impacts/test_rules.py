@@ -4,9 +4,8 @@
 import numpy as np
 import pytest
 
-from scara_effmass.impacts.baseline import BASELINE_FRAMES, Baseline, Frame
 from scara_effmass.impacts.detector import Detector, SampleBuffer
-from scara_effmass.impacts.segment import classify, flank_onset, measure
+from scara_effmass.impacts.segment import BASELINE_FRAMES, Baseline, Frame, classify, flank_onset, measure
 from scara_effmass.settings import DetectionSettings
 from scara_effmass.values import FloatArray, Impact
 from test.impacts.conftest import AddPulse, Detect, MakeBlock

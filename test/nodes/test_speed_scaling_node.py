@@ -21,7 +21,7 @@ from std_msgs.msg import Float64
 from scara_effmass.cell.scaled_trajectory import ScaledTrajectory
 from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.sim.motion import sample_moves
-from scara_effmass.sim.recordings import tour_moves
+from scara_effmass.studies.shipped_bags import tour_moves
 from scara_effmass.wire.joint_state import joint_state_message
 from scara_effmass.wire.topics import SPEED_SCALING_INPUT, verdict_qos
 from test.nodes.conftest import DEEP_QOS, JOINTS, TIMEOUT_S, Answer, NodeHarness, joint_state, stamp_ns

@@ -29,7 +29,7 @@ from scara_effmass.sim.motion import (
     joint_rates,
     sample_moves,
 )
-from scara_effmass.sim.recordings import RECORDINGS, ReferenceRecording, straight, tour_moves
+from scara_effmass.studies.shipped_bags import RECORDINGS, ReferenceRecording, straight, tour_moves
 from scara_effmass.values import FloatArray
 
 ROBOT = load_robot(Path(__file__).parents[2] / "config" / "omron_i4_550l.yaml", MonitorSettings())

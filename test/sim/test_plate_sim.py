@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from scara_effmass.iso15066 import limits_for
-from scara_effmass.settings import MonitorSettings
-from scara_effmass.sim.plate_sim import PHASE_STEP, JointServo
-from scara_effmass.studies.random_impacts import ROBOTS, arm_of
+from scara_effmass.settings import MonitorSettings, ServoSettings
+from scara_effmass.sim.plate_sim import PHASE_STEP
+from scara_effmass.studies.bounds import ROBOTS, arm_of
 
 (CHEST,) = limits_for(MonitorSettings(body_regions=("chest",)))
 STILL = 1e-6
 """Pace at which the arm stays in its pose."""
+DECOUPLED = ServoSettings(bandwidth=5.0, computed_torque=True)
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
@@ -38,7 +39,7 @@ def test_peak_of_free_joints_in_one_pose_is_v_root_mu_k() -> None:
     rng = np.random.default_rng(2)
     for _ in range(5):
         q, qd = arm.draw_motion(rng)
-        normal = arm.sim.worst_normal(q, qd, CHEST.body_mass_kg)
+        normal = arm.sim.worst_normal(q, qd, CHEST)
         jacobian, mass_matrix = arm.sim.kinematics(q)
         row = normal @ jacobian
         mu = 1.0 / (row @ np.linalg.solve(mass_matrix, row) + 1.0 / CHEST.body_mass_kg)
@@ -53,7 +54,7 @@ def test_stiff_servo_makes_the_arm_immovable() -> None:
     q, qd = arm.draw_motion(np.random.default_rng(3))
     normal = arm.sim.kinematics(q)[0] @ qd
     speed = float(np.linalg.norm(normal))
-    peak = arm.sim.touch(q, qd, normal / speed, CHEST, JointServo(300.0), pace=STILL)
+    peak = arm.sim.touch(q, qd, normal / speed, CHEST, ServoSettings(bandwidth=300.0, computed_torque=True), pace=STILL)
     assert peak.force == pytest.approx(speed * math.sqrt(CHEST.body_mass_kg * CHEST.stiffness_n_m), rel=0.01)
 
 
@@ -68,23 +69,23 @@ def test_masses_scale_the_mass_matrix() -> None:
     assert np.allclose(heavier, 1.1 * nominal, rtol=1e-9)
 
 
-@pytest.mark.parametrize("servo", [None, JointServo(5.0)])
-def test_a_simulation_that_diverges_has_no_peak(servo: JointServo | None) -> None:
+@pytest.mark.parametrize("servo", [None, DECOUPLED])
+def test_a_simulation_that_diverges_has_no_peak(servo: ServoSettings | None) -> None:
     arm = arm_of("UR5")
     q, qd = arm.draw_motion(np.random.default_rng(5))
-    normal = arm.sim.worst_normal(q, qd, CHEST.body_mass_kg)
+    normal = arm.sim.worst_normal(q, qd, CHEST)
     with pytest.raises(ArithmeticError, match="diverged"):
         arm.sim.touch(q, qd * math.nan, normal, CHEST, servo)
 
 
-@pytest.mark.parametrize("servo", [None, JointServo(5.0), JointServo(20.0, 0.5, coupled=False)])
-def test_error_of_the_time_step(servo: JointServo | None) -> None:
+@pytest.mark.parametrize("servo", [None, DECOUPLED, ServoSettings(bandwidth=20.0, damping=0.5)])
+def test_error_of_the_time_step(servo: ServoSettings | None) -> None:
     arm = arm_of("UR10")
     rng = np.random.default_rng(4)
     for _ in range(3):
         q, creep = arm.draw_motion(rng)
         qd = creep * (0.8 / 0.006)
-        normal = arm.sim.worst_normal(q, qd, CHEST.body_mass_kg)
+        normal = arm.sim.worst_normal(q, qd, CHEST)
         coarse, fine = (
             arm.sim.touch(q, qd, normal, CHEST, servo, phase_step=step).force for step in (PHASE_STEP, PHASE_STEP / 4.0)
         )

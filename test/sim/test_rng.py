@@ -5,7 +5,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scara_effmass.sim.rng import normal, uniform
+from scara_effmass.sim.measurement import normal, uniform
 
 WHOLE = normal((7, 3), 0, 20_000)
 

@@ -9,12 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scara_effmass.sim.measurement import MAX_COUNT
-from scara_effmass.sim.recordings import TOUR_PULSES
-from scara_effmass.sim.synthetic_force import (
+from scara_effmass.sim.measurement import (
     CHANNEL_SPACING,
     DURATIONS,
-    NOISE,
+    MAX_COUNT,
     NOISE_SAMPLES,
     PEAKS,
     REBOUND_GAPS,
@@ -22,8 +20,8 @@ from scara_effmass.sim.synthetic_force import (
     Pulse,
     RandomPulses,
     SyntheticSignal,
-    synthetic_force,
 )
+from scara_effmass.studies.shipped_bags import NOISE, TOUR_PULSES, synthetic_force
 
 RATE = 12_800.0
 SENSITIVITY = 2.248

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from scara_effmass.safety import Monitor
+from scara_effmass.settings import ServoSettings
 from scara_effmass.share import share
-from scara_effmass.sim.plate_sim import JointServo
 from scara_effmass.sim.recordings import EPOCH_NS
 from scara_effmass.studies import bounds
-from scara_effmass.studies.random_impacts import TINY, MonitoredArm, arm_of
+from scara_effmass.studies.bounds import TINY, MonitoredArm, arm_of
 from scara_effmass.values import JointState, Verdict
 
 TOLERANCE = 1.005
@@ -74,7 +74,7 @@ def test_normal_along_the_velocity_allows_too_much(scara: MonitoredArm, region: 
 @pytest.mark.parametrize("bandwidth", [1.0, 5.0, 20.0])
 @pytest.mark.parametrize("region", ["abdomen", "chest", "lower_leg"])
 def test_servo_that_pushes_on_stays_within_its_bound(arm: MonitoredArm, region: str, bandwidth: float) -> None:
-    pushing, rng = JointServo(bandwidth), np.random.default_rng(5)
+    pushing, rng = ServoSettings(bandwidth=bandwidth, computed_torque=True), np.random.default_rng(5)
     servo = {"bandwidth": bandwidth, "computed_torque": True}
     bounded = bounds.contacts(arm, region, 4, rng, pushing=pushing, drives="servo", servo=servo)[:, 0]
     assert bounded.max() < 1.0
@@ -89,7 +89,7 @@ def test_a_controller_per_joint_stays_within_its_bound(arm: MonitoredArm, bandwi
     ratios = {}
     for computed_torque in (False, True):
         servo = {"bandwidth": bandwidth, "computed_torque": computed_torque}
-        options: dict[str, Any] = {"pushing": JointServo(bandwidth, coupled=False), "drives": "servo", "servo": servo}
+        options: dict[str, Any] = {"pushing": ServoSettings(bandwidth=bandwidth), "drives": "servo", "servo": servo}
         ratios[computed_torque] = bounds.contacts(arm, "chest", 12, np.random.default_rng(9), **options)[:, 0]
     assert ratios[False].max() < 1.0
     assert np.median(ratios[False]) > 0.5
@@ -97,19 +97,19 @@ def test_a_controller_per_joint_stays_within_its_bound(arm: MonitoredArm, bandwi
 
 
 def test_immovable_bounds_every_servo(scara: MonitoredArm) -> None:
-    pushing = JointServo(60.0)
+    pushing = ServoSettings(bandwidth=60.0, computed_torque=True)
     rng = np.random.default_rng(6)
     ratio = bounds.contacts(scara, "abdomen", 6, rng, pushing=pushing, drives="immovable", pace=bounds.HELD)[:, 0]
     assert ratio.max() < TOLERANCE
     assert ratio.max() > 0.5
 
 
-@pytest.mark.parametrize("coupled", [True, False])
-def test_effort_limits_bound_the_push_of_stiff_drives(coupled: bool) -> None:  # noqa: FBT001
+@pytest.mark.parametrize("computed_torque", [True, False])
+def test_effort_limits_bound_the_push_of_stiff_drives(computed_torque: bool) -> None:  # noqa: FBT001
     effort = (4.0, 2.0, 15.0, 0.5)
     arm = MonitoredArm(share("config", "omron_i4_550l.yaml"))
     arm.dynamics.robot.model.effortLimit = np.array(effort)
-    pushing = JointServo(20.0, 0.7, coupled)
+    pushing = ServoSettings(bandwidth=20.0, computed_torque=computed_torque)
     options: dict[str, Any] = {"pushing": pushing, "drives": "servo", "servo": {"bandwidth": 1000.0}}
     held = bounds.contacts(arm, "chest", 30, np.random.default_rng(7), pace=bounds.HELD, **options)[:, 0]
     assert held.max() < TOLERANCE

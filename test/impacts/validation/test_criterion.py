@@ -11,14 +11,13 @@ import numpy as np
 import pytest
 
 from scara_effmass.errors import SettingsError
-from scara_effmass.impacts.agreement import Agreement, agreement, compare
-from scara_effmass.impacts.clock_offset import ClockOffset
+from scara_effmass.impacts.agreement import NO_FIT, Agreement, Interval, agreement, compare, fit_masses
 from scara_effmass.impacts.criterion import Acceptance, Series, criterion_hash, decide
-from scara_effmass.impacts.mass_fit import NO_FIT, Interval, fit_masses
+from scara_effmass.impacts.state_history import ClockOffset
 from scara_effmass.settings import CriterionSettings, ValidatorSettings, checked
 
 if TYPE_CHECKING:
-    from scara_effmass.impacts.mass_fit import MassFit
+    from scara_effmass.impacts.agreement import MassFit
     from scara_effmass.values import FloatArray
 
 X = np.linspace(0.15, 0.35, 20)

@@ -12,9 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import optimize, stats
 
-from scara_effmass.impacts.agreement import model_fit
+from scara_effmass.impacts.agreement import MIN_IMPULSE_ERROR, NO_FIT, MassFit, fit_masses, model_fit, pose_cells
 from scara_effmass.impacts.impact_matcher import MatchedImpact, Run
-from scara_effmass.impacts.mass_fit import MIN_IMPULSE_ERROR, NO_FIT, MassFit, fit_masses, pose_cells
 from scara_effmass.impacts.state_history import OnsetState
 from scara_effmass.values import NO_MOBILITY
 

@@ -20,8 +20,15 @@ from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.sim.measurement import FORCE_SENSOR, POSITION_STEP, VELOCITY_STEP
-from scara_effmass.sim.recordings import EPOCH_NS, FORCE_TOPIC, RECORDINGS, SEED, TOUR_PULSES, ReferenceRecording
-from scara_effmass.studies.shipped_bags import CAMPAIGN, CHECKSUMS, generate
+from scara_effmass.sim.recordings import EPOCH_NS, FORCE_TOPIC, SEED
+from scara_effmass.studies.shipped_bags import (
+    CAMPAIGN,
+    CHECKSUMS,
+    RECORDINGS,
+    TOUR_PULSES,
+    ReferenceRecording,
+    generate,
+)
 from scara_effmass.values import Decision, FloatArray, ForceBlock, JointState, Verdict
 from test.bags.messages import run_info_of
 
