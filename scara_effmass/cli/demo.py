@@ -15,7 +15,7 @@ from scara_effmass.cell.status import Validation
 from scara_effmass.cli import processes
 from scara_effmass.cli.console import live_status, print_lines, print_result, printer
 from scara_effmass.cli.demo_bag import run_bag
-from scara_effmass.cli.settings import load_dynamics, monitor_settings
+from scara_effmass.cli.options import load_dynamics, monitor_settings
 from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.nodes.cell_client import CellClient
 from scara_effmass.reference import RobotDynamics

@@ -19,8 +19,7 @@ from scara_effmass.analysis.summary import Summary
 from scara_effmass.bags.files import open_bag
 from scara_effmass.cli.console import advances, print_lines, progress_bar
 from scara_effmass.cli.doctor import cell_results
-from scara_effmass.cli.options import Option, options_of
-from scara_effmass.cli.settings import monitor_settings
+from scara_effmass.cli.options import Option, monitor_settings, options_of
 from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.iso15066 import BODY_REGIONS
 from scara_effmass.reference import RobotDynamics

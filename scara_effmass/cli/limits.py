@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import Any
 
 from scara_effmass.cli.console import print_json, print_table, printer
-from scara_effmass.cli.settings import monitor_settings
+from scara_effmass.cli.options import monitor_settings
 from scara_effmass.iso15066 import (
     BODY_POINTS,
     BODY_REGIONS,

@@ -9,7 +9,7 @@ from typing import Any
 from scara_effmass.analysis.lumped_model import ModelComparison, compare_models
 from scara_effmass.analysis.output import check_output_files
 from scara_effmass.cli.console import print_json, print_table, printer
-from scara_effmass.cli.settings import load_dynamics, monitor_settings, override
+from scara_effmass.cli.options import load_dynamics, monitor_settings, override
 from scara_effmass.model.lumping import LumpedLink, lumped_links
 
 NAME, RESULT = "lumped_masses", "lump.json"

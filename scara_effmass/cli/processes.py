@@ -2,6 +2,7 @@
 """Child processes of a demo: commands of the suite in a ROS domain of their own."""
 
 import argparse
+import ctypes
 import json
 import os
 import shutil
@@ -18,13 +19,12 @@ from typing import Any
 
 from typing_extensions import Self
 
-from scara_effmass.cli import dashboard
+from scara_effmass.cli.displays import has_display
 from scara_effmass.cli.nodes import node_arguments
-from scara_effmass.cli.settings import selected
+from scara_effmass.cli.options import selected
 from scara_effmass.errors import EffmassError
 from scara_effmass.extras import pip_line
 from scara_effmass.nodes.cell_client import CellClient
-from scara_effmass.parent import end_with_parent
 from scara_effmass.settings import MonitorSettings
 
 RECORDING = "recording"
@@ -36,6 +36,7 @@ DOMAINS = 101
 """Highest ROS domain id whose ports lie below the ephemeral ports of Linux."""
 _PARTICIPANTS = 16
 """Number of participant ports to probe in a domain."""
+_PR_SET_PDEATHSIG = 1
 
 
 class ChildProcess:
@@ -51,7 +52,7 @@ class ChildProcess:
             stdout=self._output,
             stderr=self._errors,
             start_new_session=True,
-            preexec_fn=end_with_parent,  # noqa: PLW1509 - calls one function of the C library
+            preexec_fn=_end_with_parent,  # noqa: PLW1509 - calls one function of the C library
         )
 
     def __enter__(self) -> Self:
@@ -105,6 +106,11 @@ class ChildProcess:
         raise EffmassError(f"{self._name} has ended: {reason}")
 
 
+def _end_with_parent() -> None:
+    """Have Linux send SIGTERM to this process when its parent dies, even by SIGKILL: no node outlives a demo."""
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
 def spin_until(
     done: Callable[[], bool], client: CellClient, processes: Sequence[ChildProcess], timeout_s: float
 ) -> bool:
@@ -156,7 +162,7 @@ def dashboard_command(args: argparse.Namespace) -> tuple[list[str], str]:
     """Return the command of the dashboard and its address, or no command and the reason."""
     if not find_spec("nicegui"):
         return [], f"needs NiceGUI: {pip_line('nicegui')}"
-    if not (dashboard.has_display() or sys.stdout.isatty()):
+    if not (has_display() or sys.stdout.isatty()):
         return [], "not started: there is no display and no terminal"
     with socket.create_server(("127.0.0.1", 0)) as probe:
         port = probe.getsockname()[1]
