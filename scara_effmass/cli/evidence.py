@@ -10,15 +10,7 @@ from scara_effmass.analysis.output import check_output_files
 from scara_effmass.analysis.report import figure_files
 from scara_effmass.cli.console import print_result
 from scara_effmass.cli.tasks import Advance, Run, open_run, raised
-from scara_effmass.studies.evidence import (
-    DRIVES,
-    FIGURE,
-    PAGE,
-    SUMMARY,
-    TABLE,
-    Evidence,
-    write_evidence,
-)
+from scara_effmass.studies.evidence import DRIVES, FIGURE, PAGE, SUMMARY, TABLE, Evidence, write_evidence
 from scara_effmass.studies.random_impacts import Row, Simulate, extend_table
 
 
