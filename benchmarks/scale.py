@@ -23,7 +23,7 @@ from measured_page import write_section
 from scara_effmass.analysis.bag_assessment import BagTask
 from scara_effmass.analysis.dataset import assess_part
 from scara_effmass.bags.writer import BagWriter
-from scara_effmass.cli.settings import load_dynamics
+from scara_effmass.cli.options import load_dynamics
 from scara_effmass.cli.tasks import Advance, open_run
 from scara_effmass.errors import EffmassError
 from scara_effmass.settings import MonitorSettings

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 
 from scara_effmass.analysis.workspace_map import AS_SAMPLED, Cells, Plane, map_table, sample_workspace
-from scara_effmass.cli.settings import load_dynamics
+from scara_effmass.cli.options import load_dynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.studies.scara import scara_of

@@ -19,7 +19,7 @@ from scara_effmass.analysis.summary import Summary
 from scara_effmass.analysis.tables import open_writer, provenance
 from scara_effmass.bags.files import bag_bytes, find_bags
 from scara_effmass.cli.console import print_result
-from scara_effmass.cli.settings import load_dynamics, monitor_settings
+from scara_effmass.cli.options import load_dynamics, monitor_settings
 from scara_effmass.cli.tasks import SMALL_BYTES, Advance, Run, open_run, sound
 from scara_effmass.errors import CrossCheckError, EffmassError, SettingsError
 from scara_effmass.reference import RobotDynamics

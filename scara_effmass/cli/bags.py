@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`scara-effmass record` and `replay`."""
+"""`scara-effmass record`, `replay` and `import`."""
 
 from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.console import Console
@@ -18,6 +19,10 @@ from scara_effmass.bags.recorder import RecorderOptions, RecordingReport, TopicR
 from scara_effmass.bags.repair import RepairReport, repair
 from scara_effmass.cli.console import print_result, progress_bar
 from scara_effmass.errors import SettingsError
+from scara_effmass.importers.force import ImportedTopic, write_force_bag
+from scara_effmass.importers.joint_states import write_joint_state_bag
+from scara_effmass.settings import ImportSettings, checked
+from scara_effmass.settings.loading import flat_fields
 from scara_effmass.wire.topics import RECORDED
 
 if TYPE_CHECKING:
@@ -28,10 +33,10 @@ NS = 1_000_000_000
 
 
 def run(args: argparse.Namespace) -> int:
-    """Record, repair or replay, and print the result."""
-    if args.command == "replay":
-        return _replay(args)
-    return _repair(args) if args.repair else _record(args)
+    """Record, repair, replay or import, and print the result."""
+    if args.command == "record":
+        return _repair(args) if args.repair else _record(args)
+    return _replay(args) if args.command == "replay" else _import(args)
 
 
 def _record(args: argparse.Namespace) -> int:
@@ -164,3 +169,39 @@ def _replay_lines(report: ReplayReport) -> Iterator[tuple[str, str]]:
         yield "not received", f"{topic}: a subscriber has not acknowledged every message"
     for warning in report.warnings:
         yield "warning", warning
+
+
+def _import(args: argparse.Namespace) -> int:
+    if args.joints:
+        return _import_joint_states(args)
+    names = flat_fields(ImportSettings)
+    stated = {name: value for name, value in vars(args).items() if name in names and value is not None}
+    settings = checked(ImportSettings, stated, "options")
+    topics = write_force_bag(args.files, args.output, settings, overwrite=args.force)
+    result = {"output": str(args.output), "topics": [asdict(topic) for topic in topics]}
+    print_result(result, _import_lines(topics, args.output), as_json=args.json)
+    return 0
+
+
+def _import_joint_states(args: argparse.Namespace) -> int:
+    if len(args.files) > 1:
+        raise SettingsError(f"--joints = {args.joints}: must belong to one file, not to {len(args.files)}")
+    (path,) = args.files
+    imported = write_joint_state_bag(path, args.joints, args.output, overwrite=args.force)
+    span = f"{imported.first_stamp_s:.3f} to {imported.last_stamp_s:.3f} s"
+    velocity = "with velocities" if imported.has_velocity else "without velocities (assess --velocity from-positions)"
+    lines = [("/joint_states", f"{path.name}: {imported.joint_states} joint states, {span}, {velocity}")]
+    if imported.shift_s:
+        lines.append(("time", f"{imported.shift_s:.3f} s later than in the file, which begins at 0 or before"))
+    result = {"output": str(args.output), **imported._asdict()}
+    print_result(result, [*lines, ("written", args.output)], as_json=args.json)
+    return 0
+
+
+def _import_lines(topics: Sequence[ImportedTopic], output: Path) -> Iterator[tuple[str, str]]:
+    for topic in topics:
+        counts = f"{topic.samples} samples at {topic.sample_rate_hz:.9g} Hz, {topic.lost_samples} lost"
+        yield topic.topic, f"{topic.source}: {counts}, {topic.saturated_samples} saturated"
+        for loss in topic.losses:
+            yield "not read", loss
+    yield "written", str(output)

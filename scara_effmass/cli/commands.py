@@ -23,7 +23,10 @@ ROS_COMMANDS = {*NODES, "record", "replay", "foxglove", "dashboard", "watch"}
 """Commands that take ROS arguments."""
 PROTOCOL = tuple(f"protocol {step}" for step in ("init", "fill", "report", "schema"))
 MODULES = (
-    {"import": "import_force", "completion": "commands", "record": "bags", "replay": "bags"}
+    {"completion": "commands"}
+    | dict.fromkeys(("record", "replay", "import"), "bags")
+    | dict.fromkeys(("watch", "dashboard", "foxglove"), "displays")
+    | dict.fromkeys(("advise", "coverage"), "motion")
     | dict.fromkeys(NODES, "nodes")
     | dict.fromkeys(PROTOCOL, "protocol")
 )

@@ -96,12 +96,6 @@ def tracked(progress: Progress, bag: Bag, topic: str, items: Iterable[Item]) -> 
         yield item
 
 
-def advances(progress: Progress, name: str) -> Callable[[int, int], None]:
-    """Return a function that adds to the number of items done in `name`, and sets their total."""
-    task = progress.add_task(name)
-    return lambda count, total: progress.update(task, advance=count, total=total)
-
-
 ShowStatus = Callable[[Decision, float], None]
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from scara_effmass import __version__
 from scara_effmass.analysis.lumped_model import compare_models
 from scara_effmass.cli.console import LEVEL_STYLES, print_json, print_table, printer
-from scara_effmass.cli.settings import load_dynamics, monitor_settings
+from scara_effmass.cli.options import load_dynamics, monitor_settings
 from scara_effmass.codes import ModelCode
 from scara_effmass.errors import DaqError, LimitError, RobotError, SettingsError
 from scara_effmass.iso15066 import EDITION, TABLE_HASH, limits_for

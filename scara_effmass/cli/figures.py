@@ -8,7 +8,7 @@ from pathlib import Path
 
 from scara_effmass.analysis.workspace_map import AS_SAMPLED
 from scara_effmass.cli.console import print_result, progress_bar
-from scara_effmass.cli.settings import load_dynamics, monitor_settings
+from scara_effmass.cli.options import load_dynamics, monitor_settings
 from scara_effmass.errors import SettingsError
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings

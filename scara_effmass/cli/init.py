@@ -17,10 +17,9 @@ from scara_effmass.analysis.assessment import assess_joint_states, joint_state_t
 from scara_effmass.analysis.output import atomic_file, check_output_path
 from scara_effmass.analysis.summary import Summary
 from scara_effmass.bags.files import open_bag
-from scara_effmass.cli.console import advances, print_lines, progress_bar
+from scara_effmass.cli.console import print_lines, progress_bar
 from scara_effmass.cli.doctor import cell_results
-from scara_effmass.cli.options import Option, options_of
-from scara_effmass.cli.settings import monitor_settings
+from scara_effmass.cli.options import Option, monitor_settings, options_of
 from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.iso15066 import BODY_REGIONS
 from scara_effmass.reference import RobotDynamics
@@ -127,11 +126,10 @@ def _recording(args: argparse.Namespace, settings: MonitorSettings, dynamics: Ro
     summary = Summary(round(settings.timeout * 1e9))
     with open_bag(args.bag) as bag, progress_bar() as progress:
         topic = joint_state_topic(bag, args.topic)
-        advance, total = advances(progress, bag.path.name), next(t.count for t in bag.topics if t.name == topic)
-        assessed = assess_joint_states(bag, topic, Monitor(dynamics, settings))
-        for states in assessed:
+        task = progress.add_task(bag.path.name, total=next(t.count for t in bag.topics if t.name == topic))
+        for states in assess_joint_states(bag, topic, Monitor(dynamics, settings)):
             summary.add(states)
-            advance(len(states), total)
+            progress.advance(task, len(states))
     return topic, summary
 
 

@@ -7,24 +7,20 @@ from dataclasses import asdict
 from typing import Any
 
 from scara_effmass.cli.console import print_json, print_table, printer
-from scara_effmass.cli.settings import monitor_settings
+from scara_effmass.cli.options import monitor_settings
 from scara_effmass.iso15066 import (
     BODY_POINTS,
     BODY_REGIONS,
     CLAUSE_2025,
     EDITION,
     TABLE_HASH,
+    BodyPoint,
     Limit,
     limits_for,
     speed_limit_of_mass,
     transferred_energy,
 )
 from scara_effmass.settings import MonitorSettings
-
-POINT_COLUMNS = (
-    *("clause", "name", "region", "quasi_static_force_n", "quasi_static_pressure_n_cm2"),
-    *("transient_force_n", "transient_pressure_n_cm2"),
-)
 
 _WIDE = 100
 """Columns from which the table has room for whole clauses."""
@@ -40,19 +36,12 @@ def run(args: argparse.Namespace) -> int:
     names = {region.name for region in regions}
     points = [point for point in BODY_POINTS if point.region in names]
     if args.json:
+        clause = {"clause_2025": CLAUSE_2025}
         result = {
             "edition": EDITION,
             "hash": TABLE_HASH,
-            "body_points": [
-                {
-                    **asdict(point),
-                    "clause_2025": CLAUSE_2025,
-                    "transient_force_n": point.transient_force_n,
-                    "transient_pressure_n_cm2": point.transient_pressure_n_cm2,
-                }
-                for point in points
-            ],
-            "body_regions": [{**asdict(region), "clause_2025": CLAUSE_2025} for region in regions],
+            "body_points": [asdict(point) | clause | _transient(point) for point in points],
+            "body_regions": [asdict(region) | clause for region in regions],
             "contact": settings.contact.value,
             "contact_area_m2": settings.contact_area_m2,
             "allowable_speeds": [_speed(mass, limit, nominal) for mass in args.masses for limit in limits],
@@ -65,8 +54,8 @@ def run(args: argparse.Namespace) -> int:
         ("row", "point", "region", "clamped\n[N]", "\n[N/cm²]", "transient\n[N]", "\n[N/cm²]"),
         (
             (
-                point.clause if is_wide else point.clause.rpartition(" ")[2],
-                *(getattr(point, name) for name in POINT_COLUMNS[1:]),
+                *(point.clause if is_wide else point.clause.rpartition(" ")[2], point.name, point.region),
+                *(point.quasi_static_force_n, point.quasi_static_pressure_n_cm2, *_transient(point).values()),
             )
             for point in points
         ),
@@ -81,6 +70,12 @@ def run(args: argparse.Namespace) -> int:
     printer().print(f"{EDITION}; hash {TABLE_HASH}")
     printer().print(f"both tables: {CLAUSE_2025}")
     return 0
+
+
+def _transient(point: BodyPoint) -> dict[str, float | None]:
+    """Return the limits of a free impact, which are no fields of `point`."""
+    force_n, pressure_n_cm2 = point.transient_force_n, point.transient_pressure_n_cm2
+    return {"transient_force_n": force_n, "transient_pressure_n_cm2": pressure_n_cm2}
 
 
 def _speed(mass: float, limit: Limit, settings: MonitorSettings) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from typing import Any
 from scara_effmass.analysis.lumped_model import ModelComparison, compare_models
 from scara_effmass.analysis.output import check_output_files
 from scara_effmass.cli.console import print_json, print_table, printer
-from scara_effmass.cli.settings import load_dynamics, monitor_settings, override
+from scara_effmass.cli.options import load_dynamics, monitor_settings, override
 from scara_effmass.model.lumping import LumpedLink, lumped_links
 
 NAME, RESULT = "lumped_masses", "lump.json"
@@ -21,14 +21,10 @@ def run(args: argparse.Namespace) -> int:
     chosen = {name: value for name in ("policy", "free_parameters") if (value := getattr(args, name))}
     settings = override(settings, {"lumping": {**settings.lumping.model_dump(), **chosen}})
     if args.output:
+        from scara_effmass.analysis import report  # noqa: PLC0415 - matplotlib too
         from scara_effmass.analysis.lumped_figure import draw_masses  # noqa: PLC0415 - matplotlib, an extra
-        from scara_effmass.analysis.report import (  # noqa: PLC0415
-            figure_files,
-            report_figure,
-            write_report_files,
-        )
 
-        check_output_files(args.output, [*figure_files([NAME]), RESULT], overwrite=args.force)
+        check_output_files(args.output, [*report.figure_files([NAME]), RESULT], overwrite=args.force)
     dynamics = load_dynamics(settings)
     robot, lumped = dynamics.robot, dynamics.lumped
     links = lumped.links if lumped else () if robot.coms_reason else lumped_links(robot)
@@ -46,11 +42,11 @@ def run(args: argparse.Namespace) -> int:
         "without_lumped_mass": dict(zip(dynamics.contact_points, missing, strict=True)),
         "lumped_over_full_minus_1": [comparison._asdict() for comparison in comparisons],
     }
-    figures = []
-    if args.output and lumped:
-        figures.append(report_figure(NAME, "Lumped masses", robot.name, draw_masses(robot, lumped)))
     if args.output:
-        write_report_files(args.output, {RESULT: result}, figures, overwrite=args.force)
+        figures = []
+        if lumped:
+            figures.append(report.report_figure(NAME, "Lumped masses", robot.name, draw_masses(robot, lumped)))
+        report.write_report_files(args.output, {RESULT: result}, figures, overwrite=args.force)
     if args.json:
         print_json(result)
         return 0 if lumped else 1
@@ -60,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
     else:
         printer().print(f"no lumped model: {dynamics.lumped_reason}")
     if args.output:
-        names = [RESULT, *figure_files([NAME] if lumped else [])]
+        names = [RESULT, *report.figure_files([NAME] if lumped else [])]
         printer().print(f"written: {', '.join(str(args.output / name) for name in names)}")
     return 0 if lumped else 1
 

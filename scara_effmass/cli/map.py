@@ -21,7 +21,7 @@ from scara_effmass.analysis.workspace_map import (
     summarize,
 )
 from scara_effmass.cli.console import print_result
-from scara_effmass.cli.settings import load_dynamics, monitor_settings, require_no_payload_topic
+from scara_effmass.cli.options import load_dynamics, monitor_settings, require_no_payload_topic
 from scara_effmass.cli.tasks import Advance, open_run, sound
 from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.safety import Monitor

@@ -1,19 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Options of the commands, as arguments of `ArgumentParser.add_argument`; options.yaml holds the common ones."""
+"""Options of the commands, the common ones from options.yaml, and the settings and the robot that they state."""
+
+from __future__ import annotations
 
 import argparse
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from scara_effmass.errors import SettingsError
 from scara_effmass.input_files import read_table
 from scara_effmass.iso15066 import MIN_EFFECTIVE_MASS
-from scara_effmass.settings import DaqSettings, ImportSettings, LumpingSettings, MonitorSettings, ValidatorSettings
-from scara_effmass.settings.loading import flat_fields, number_rule
+from scara_effmass.settings import (
+    DaqSettings,
+    ImportSettings,
+    LumpingSettings,
+    MonitorSettings,
+    ValidatorSettings,
+    checked,
+    load_settings,
+)
+from scara_effmass.settings.loading import Settings, flat_fields, number_rule
 from scara_effmass.url import location
+
+if TYPE_CHECKING:
+    from scara_effmass.reference import RobotDynamics
 
 
 class Option:
@@ -130,3 +144,42 @@ def options_of(*items: str | Mapping[str, Mapping[str, Any]]) -> Iterator[Option
             yield from options_of(*_GROUPS[item])
         else:
             yield from (Option(names, keywords) for names, keywords in item.items())
+
+
+def monitor_settings(
+    args: argparse.Namespace,
+    others: Collection[str] = (),
+    **overrides: Any,  # noqa: ANN401 - any setting
+) -> MonitorSettings:
+    """Return the monitor's settings: those of --params, overridden by the other options and by `overrides`.
+
+    A parameter file with sections of the nodes `others` only leaves the defaults. Raises SettingsError.
+    """
+    settings = load_settings(MonitorSettings, args.params, "monitor", others) if args.params else MonitorSettings()
+    return override(settings, {name: getattr(args, name, None) for name in MonitorSettings.model_fields} | overrides)
+
+
+def selected(args: argparse.Namespace, *groups: str) -> dict[str, Any]:
+    """Return the values of the options in `groups` by the name of the setting."""
+    return {option.dest: getattr(args, option.dest) for option in options_of(*groups)}
+
+
+def override(settings: Settings, chosen: dict[str, Any]) -> Settings:
+    """Return `settings` changed to the `chosen` values that are not None. Raises SettingsError."""
+    changes = {name: value for name, value in chosen.items() if value is not None}
+    return checked(type(settings), {**settings.model_dump(), **changes}, "options")
+
+
+def load_dynamics(settings: MonitorSettings) -> RobotDynamics:
+    """Return the robot of `settings` with its mass models. Raises RobotError."""
+    from scara_effmass.model.load import load_robot  # noqa: PLC0415
+    from scara_effmass.reference import RobotDynamics  # noqa: PLC0415 - loads Pinocchio
+
+    return RobotDynamics(load_robot(settings.robot_path, settings))
+
+
+def require_no_payload_topic(settings: MonitorSettings, purpose: str) -> None:
+    """Raise SettingsError if the payload comes by topic, because `purpose` needs it beforehand."""
+    if settings.payload_topic:
+        rule = f"must be empty for {purpose}: give --payload-topic ''"
+        raise SettingsError(f"payload_topic = {settings.payload_topic!r}: {rule}")

@@ -2,6 +2,7 @@
 """Child processes of a demo: commands of the suite in a ROS domain of their own."""
 
 import argparse
+import ctypes
 import json
 import os
 import shutil
@@ -14,17 +15,14 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
-from typing_extensions import Self
-
-from scara_effmass.cli import dashboard
+from scara_effmass.cli.displays import has_display
 from scara_effmass.cli.nodes import node_arguments
-from scara_effmass.cli.settings import selected
+from scara_effmass.cli.options import selected
 from scara_effmass.errors import EffmassError
 from scara_effmass.extras import pip_line
 from scara_effmass.nodes.cell_client import CellClient
-from scara_effmass.parent import end_with_parent
 from scara_effmass.settings import MonitorSettings
 
 RECORDING = "recording"
@@ -36,26 +34,24 @@ DOMAINS = 101
 """Highest ROS domain id whose ports lie below the ephemeral ports of Linux."""
 _PARTICIPANTS = 16
 """Number of participant ports to probe in a domain."""
+_PR_SET_PDEATHSIG = 1
 
 
-class ChildProcess:
+class ChildProcess(subprocess.Popen[bytes]):
     """A running `scara-effmass` command with captured output; use it in a `with`, which ends it."""
 
     def __init__(self, command: Sequence[str]) -> None:
         """Start the command in a new session, so that Ctrl-C at the terminal reaches this process only."""
         self._name = command[0]
         self._output, self._errors = tempfile.TemporaryFile(), tempfile.TemporaryFile()  # noqa: SIM115 - until the end
-        self._process = subprocess.Popen(  # noqa: S603 - starts this program
+        super().__init__(
             [sys.executable, "-m", "scara_effmass", *command],
             stdin=subprocess.DEVNULL,
             stdout=self._output,
             stderr=self._errors,
             start_new_session=True,
-            preexec_fn=end_with_parent,  # noqa: PLW1509 - calls one function of the C library
+            preexec_fn=_end_with_parent,
         )
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_error: object) -> None:
         self.interrupt()
@@ -65,44 +61,46 @@ class ChildProcess:
     @property
     def ended(self) -> bool:
         """Whether the process has ended."""
-        return self._process.poll() is not None
+        return self.poll() is not None
 
     def interrupt(self) -> None:
         """Interrupt the process if it runs, and kill it if it does not end in time."""
-        if self.ended:
-            return
-        self._process.send_signal(signal.SIGINT)
+        self.send_signal(signal.SIGINT)  # sends nothing to a process that has ended
         try:
-            self._process.wait(STOP_TIMEOUT_S)
+            self.wait(STOP_TIMEOUT_S)
         except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+            self.kill()
+            self.wait()
 
     def output(self) -> str:
         """Wait for the end of the process and return its stdout. Raises EffmassError if it failed."""
-        if self._process.wait() != 0:
+        if self.wait() != 0:
             self.fail()
-        return self._read_output()
+        return _text(self._output)
 
     def recording(self) -> dict[str, Any]:
         """End `record --json` and return its report, with lost messages or not. Raises EffmassError if it failed."""
         self.interrupt()
-        text = self._read_output()
+        text = _text(self._output)
         report: dict[str, Any] = json.loads(text) if text else {}
         if not report or report["stopped_by_disk"]:
             self.fail()
         return report
 
-    def _read_output(self) -> str:
-        self._output.seek(0)
-        return self._output.read().decode()
-
     def fail(self) -> None:
         """Raise EffmassError with the last line that the process wrote to stderr."""
-        self._errors.seek(0)
-        lines = self._errors.read().decode(errors="replace").strip().splitlines()
-        reason = lines[-1] if lines else f"exit code {self._process.returncode}"
-        raise EffmassError(f"{self._name} has ended: {reason}")
+        lines = _text(self._errors).strip().splitlines()
+        raise EffmassError(f"{self._name} has ended: {lines[-1] if lines else f'exit code {self.returncode}'}")
+
+
+def _text(file: IO[bytes]) -> str:
+    file.seek(0)
+    return file.read().decode(errors="replace")
+
+
+def _end_with_parent() -> None:
+    """Have Linux send SIGTERM to this process when its parent dies, even by SIGKILL: no node outlives a demo."""
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 def spin_until(
@@ -156,7 +154,7 @@ def dashboard_command(args: argparse.Namespace) -> tuple[list[str], str]:
     """Return the command of the dashboard and its address, or no command and the reason."""
     if not find_spec("nicegui"):
         return [], f"needs NiceGUI: {pip_line('nicegui')}"
-    if not (dashboard.has_display() or sys.stdout.isatty()):
+    if not (has_display() or sys.stdout.isatty()):
         return [], "not started: there is no display and no terminal"
     with socket.create_server(("127.0.0.1", 0)) as probe:
         port = probe.getsockname()[1]

@@ -19,7 +19,7 @@ from scara_effmass.analysis.protocol_report import PAGE, check_report_folder, wr
 from scara_effmass.analysis.workspace_map import AS_SAMPLED, Plane, sample_workspace
 from scara_effmass.bags.files import open_bag
 from scara_effmass.cli.console import print_json, print_result, progress_bar, tracked
-from scara_effmass.cli.settings import load_dynamics, monitor_settings, override, require_no_payload_topic
+from scara_effmass.cli.options import load_dynamics, monitor_settings, override, require_no_payload_topic
 from scara_effmass.cli.validate import validated, validation_settings
 from scara_effmass.errors import RobotError, SettingsError
 from scara_effmass.reference import RobotDynamics

@@ -18,7 +18,7 @@ from scara_effmass.analysis.validation import (
 from scara_effmass.analysis.validation_report import PAGE, check_report_folder, summary_lines, write_report
 from scara_effmass.bags.files import bag_bytes, find_bags
 from scara_effmass.cli.console import print_result
-from scara_effmass.cli.settings import load_dynamics, override, selected
+from scara_effmass.cli.options import load_dynamics, override, selected
 from scara_effmass.cli.tasks import SMALL_BYTES, Advance, open_run, sound
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.impacts.validator import Validator

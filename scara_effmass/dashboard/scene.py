@@ -13,13 +13,8 @@ from scara_effmass.safety.joint_state_adapter import JointStateAdapter
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import NO_MOBILITY, ZERO_VECTOR, FloatArray, Verdict, mobility_matrix
 
-LINK_COLOR, JOINT_COLOR, VELOCITY_COLOR, NORMAL_COLOR, ELLIPSOID_COLOR = (
-    "#8a96a3",
-    "#4a5561",
-    "#17202a",
-    "#b0006d",
-    "#3a86c8",
-)
+LINK_COLOR, JOINT_COLOR, ELLIPSOID_COLOR = "#8a96a3", "#4a5561", "#3a86c8"
+VELOCITY_COLOR, NORMAL_COLOR = "#17202a", "#b0006d"
 MAX_MASS = 20.0
 """Largest mass that the ellipsoid shows [kg]: in a direction that no joint moves, the mass is infinite."""
 _DOWN = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])

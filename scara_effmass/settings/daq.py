@@ -184,6 +184,6 @@ class ImportSettings(FrozenSettings):
         "unit of the values: N, kN, lbf, kgf, V or mV; empty: as the file states, N for messages",
         pattern=UNIT,
     )
-    time_column: str = tunable("", "CSV column of the times; empty: the first column")
+    time_column: str = tunable("", "CSV column of the times; empty: the first one")
     frame_id: str = tunable("force_sensor", "frame of the sensor; its z axis points along compression")
     sensor: SensorSettings = tunable(SensorSettings(), "sensor that recorded the file")

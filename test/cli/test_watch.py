@@ -18,7 +18,7 @@ import pytest
 from rich.console import Console
 
 from scara_effmass.cell.status import CellStatus
-from scara_effmass.cli.watch import screen
+from scara_effmass.cli.displays import screen
 from scara_effmass.codes import Reason
 from scara_effmass.safety import unknown_contact
 from scara_effmass.values import Impact, Verdict

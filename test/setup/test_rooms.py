@@ -13,7 +13,7 @@ import pytest
 PACKAGE = Path(__file__).parents[2] / "scara_effmass"
 
 FLOORS = (
-    {"codes", "errors", "extras", "input_files", "parent", "share", "streams", "url", "values", "settings"},
+    {"codes", "errors", "extras", "input_files", "share", "streams", "url", "values", "settings"},
     {"iso15066"},
     {"model"},
     {"reference"},

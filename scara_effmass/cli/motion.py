@@ -1,38 +1,49 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`scara-effmass advise`."""
+"""`scara-effmass advise` and `coverage`: what a recorded motion allows, and what it covers."""
 
 import argparse
 import csv
+import json
 from collections.abc import Iterator, Sequence
+from functools import partial
 from io import StringIO
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from scara_effmass.analysis.advice import Advice, Motion, advise, draw_advice
 from scara_effmass.analysis.assessment import Time, assessed_rows, joint_state_topic
+from scara_effmass.analysis.coverage import Coverage
 from scara_effmass.analysis.output import check_output_files
 from scara_effmass.analysis.report import figure_files, report_figure, write_report_files
 from scara_effmass.analysis.tables import provenance
-from scara_effmass.bags.files import open_bag
+from scara_effmass.bags.files import bag_bytes, find_bags, open_bag
 from scara_effmass.cli.console import print_result, progress_bar, tracked
-from scara_effmass.cli.settings import load_dynamics, monitor_settings, require_no_payload_topic
+from scara_effmass.cli.options import load_dynamics, monitor_settings, require_no_payload_topic
+from scara_effmass.cli.tasks import SMALL_BYTES, Advance, open_run, sound
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.safety import Monitor
-from scara_effmass.settings import VelocitySource
+from scara_effmass.settings import MonitorSettings, VelocitySource
 from scara_effmass.sim.recordings import write_recording
 from scara_effmass.values import Decision, JointState, RunInfo, Verdict
 
-NAME, TABLE, SUMMARY, BAG = "advice", "segments.csv", "advice.json", "advised.mcap"
+ADVICE, TABLE, SUMMARY, BAG = "advice", "segments.csv", "advice.json", "advised.mcap"
+COVERAGE, COUNTS = "coverage", "coverage.json"
 
 
 def run(args: argparse.Namespace) -> int:
+    """Advise on a recorded motion, or count what recordings cover."""
+    return _advise(args) if args.command == "advise" else _coverage(args)
+
+
+def _advise(args: argparse.Namespace) -> int:
     """Assess the recording, write factors, figure and re-timed motion, and print them."""
     settings = monitor_settings(args, latch=False, release_time=0.0)  # each state by itself
     require_no_payload_topic(settings, "advice")
     if settings.velocity_source is not VelocitySource.REPORTED or settings.velocity_window:
         raise SettingsError("velocity_source: must be reported, with velocity_window 0, for a motion to re-time")
-    check_output_files(args.output, [*figure_files([NAME]), TABLE, SUMMARY, BAG], overwrite=args.force)
+    check_output_files(args.output, [*figure_files([ADVICE]), TABLE, SUMMARY, BAG], overwrite=args.force)
     dynamics = load_dynamics(settings)
     with progress_bar() as progress, open_bag(args.bag) as bag:
         topic = joint_state_topic(bag, args.topic)
@@ -49,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
 
     share = settings.warn_ratio if args.verdict == "ok" else 1.0
     advice = advise(motion, recorded, decide, args.segments, settings.speed_threshold, share)
-    rows, (before, after) = list(_rows(motion, advice)), advice.times(motion)
+    rows, (before, after) = list(_segments(motion, advice)), advice.times(motion)
     missing = [row for row in rows if row["factor"] is None]
     unknown = sum(any(contact.verdict is Verdict.UNKNOWN for contact in decision.contacts) for decision in recorded)
     cycle = {"recorded_s": float(before.sum()), "advised_s": None if missing else float(after.sum())}
@@ -60,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
     writer.writeheader()
     writer.writerows(rows)
     title = f"{dynamics.robot.name}: {args.bag.name}, advised speed"
-    figure = report_figure(NAME, title, "", draw_advice(motion, advice, title))
+    figure = report_figure(ADVICE, title, "", draw_advice(motion, advice, title))
     summary = {**result, "segments": rows, "provenance": origin}
     write_report_files(args.output, {TABLE: table.getvalue(), SUMMARY: summary}, [figure], overwrite=args.force)
     if missing:
@@ -73,11 +84,11 @@ def run(args: argparse.Namespace) -> int:
     lines += [("no speed", f"from {row['start_s']:.3f} s: {row['decides']}") for row in missing[:10]]
     ends = "no advised motion: some segments have no speed" if missing else f"{after.sum():.2f} s"
     lines += [("cycle time", f"{before.sum():.2f} s recorded, {ends}")]
-    print_result({**result, "segments": rows}, [*lines, ("written", args.output / f"{NAME}.png")], as_json=args.json)
+    print_result({**result, "segments": rows}, [*lines, ("written", args.output / f"{ADVICE}.png")], as_json=args.json)
     return 1 if missing else 0
 
 
-def _rows(motion: Motion, advice: Advice) -> Iterator[dict[str, Any]]:
+def _segments(motion: Motion, advice: Advice) -> Iterator[dict[str, Any]]:
     """Yield the row of each segment; a missing number is None."""
     starts_s = motion.time[np.searchsorted(advice.segment, np.arange(len(advice.factors)))]
     columns = zip(starts_s, *advice.times(motion), advice.factors, strict=True)
@@ -85,3 +96,47 @@ def _rows(motion: Motion, advice: Advice) -> Iterator[dict[str, Any]]:
         start, recorded, advised, factor = (None if np.isnan(value) else float(value) for value in values)
         times = {"start_s": start, "recorded_s": recorded, "advised_s": advised}
         yield {"segment": number, **times, "factor": factor, "decides": reason}
+
+
+def _coverage(args: argparse.Namespace) -> int:
+    """Count the joint states of the recordings and of earlier files, write figure and counts, and print the shares."""
+    settings = monitor_settings(args)
+    check_output_files(args.output, [COUNTS, *figure_files([COVERAGE])], overwrite=args.force)
+    dynamics = load_dynamics(settings)
+    coverage = Coverage.of_robot(dynamics.robot)
+    earlier = [path for path in args.bags if path.suffix == ".json"]
+    for path in earlier:
+        coverage.merge(path)
+    paths = [bag for folder in args.bags if folder not in earlier for bag in find_bags(folder)]
+    unreadable: list[str] = []
+    with open_run(args, "recordings", is_small=sum(map(bag_bytes, paths)) < SMALL_BYTES) as run_tasks:
+        count = partial(_counted, settings, args.topic, Time(args.time))
+        for path, counted in sound(paths, run_tasks(count, paths), unreadable):
+            coverage.extend(counted, path)
+    shares = coverage.shares()
+    result = {"output": str(args.output), "joint_states": coverage.joint_states, "covered": shares}
+    result["unreadable"] = unreadable
+    text = json.dumps({**result, "coverage": coverage.model_dump(mode="json")}, allow_nan=False)
+    figure = report_figure(COVERAGE, f"Coverage of {coverage.robot}", "", coverage.figure())
+    write_report_files(args.output, {COUNTS: f"{text}\n"}, [figure], overwrite=args.force)
+    lines = [("recordings", len(coverage.recordings)), ("joint states", f"{coverage.joint_states} valid ones")]
+    lines += [(name, f"{share:.1%} of its bins") for name, share in shares.items() if isinstance(share, float)]
+    lines += [(name, f"fastest from {speed:g} m/s on") for name, speed in shares["fastest_bin_from_m_s"].items()]
+    lines += [("not counted", error) for error in unreadable]
+    print_result(result, [*lines, ("written", args.output / COUNTS)], as_json=args.json)
+    return 1 if unreadable else 0
+
+
+def _counted(settings: MonitorSettings, topic: str | None, time: Time, path: Path, advance: Advance) -> Coverage:
+    """Return the coverage of the recording at `path`. Raises BagError."""
+    dynamics = load_dynamics(settings)
+    coverage = Coverage.of_robot(dynamics.robot)
+    with open_bag(path) as bag:
+        topic = joint_state_topic(bag, topic)
+        coverage.begin(f"{bag.path.name}, {bag.start_ns} ns")  # also after it was moved
+        share = 1.0 / next(stored.count for stored in bag.topics if stored.name == topic)
+        for _, state, decision in assessed_rows(bag, topic, Monitor(dynamics, settings), time):
+            advance(share)
+            if state is not None:
+                coverage.add(state, decision.contacts)
+    return coverage

@@ -1,11 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`scara-effmass watch`: verdict and speeds of a cell, full screen, readable from three metres."""
+"""`scara-effmass watch`, `dashboard` and `foxglove`: show a live cell in a terminal, on a web page, or in Foxglove."""
 
 from __future__ import annotations
 
 import argparse
+import os
+import secrets
+import socket
 import sys
+import threading
 import time
+import webbrowser
+from functools import partial
 from typing import TYPE_CHECKING
 
 from rich.align import Align
@@ -15,6 +21,8 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
+from scara_effmass.cli.console import print_lines, printer
+from scara_effmass.cli.options import load_dynamics, monitor_settings
 from scara_effmass.errors import SettingsError
 from scara_effmass.safety.remedies import remedy
 from scara_effmass.values import Verdict, severity
@@ -22,6 +30,8 @@ from scara_effmass.values import Verdict, severity
 if TYPE_CHECKING:
     from scara_effmass.cell.status import CellStatus
 
+_NICENESS = 10
+"""The nodes on this machine have priority over the dashboard."""
 PERIOD_S = 0.1
 _CHARACTERS = "OKWARNVILTU0123456789.-"
 _FONT = (
@@ -41,6 +51,56 @@ _STYLES = {
 
 
 def run(args: argparse.Namespace) -> int:
+    """Show the cell until a signal ends it; return 0. Raises EffmassError."""
+    return {"watch": _watch, "dashboard": _dashboard, "foxglove": _foxglove}[args.command](args)
+
+
+def has_display() -> bool:
+    """Return whether a browser can open a window here."""
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def _dashboard(args: argparse.Namespace) -> int:
+    """Serve the page until a signal ends it; return 0. Raises EffmassError."""
+    from scara_effmass.dashboard.server import bound_socket, is_local, serve  # noqa: PLC0415 - an extra
+    from scara_effmass.nodes.cell_client import CellClient  # noqa: PLC0415 - rclpy
+
+    settings = monitor_settings(args)
+    dynamics = load_dynamics(settings)
+    token = args.token or ("" if is_local(args.host) else secrets.token_urlsafe(16))
+    listener = bound_socket(args.host, args.port)
+    is_any = args.host in {"0.0.0.0", "::"}  # noqa: S104 - only compared
+    host = socket.gethostname() if is_any else f"[{args.host}]" if ":" in args.host else args.host
+    address = f"http://{host}:{listener.getsockname()[1]}/{f'?token={token}' if token else ''}"
+
+    def on_start() -> None:
+        print_lines([("dashboard", address)])
+        if args.open and has_display():
+            threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()  # some browsers block
+
+    os.nice(_NICENESS)
+    with listener, CellClient("dashboard", args.ros_arguments) as client:
+        serve(client, dynamics, settings, listener, token, on_start)
+    return 0
+
+
+def _foxglove(args: argparse.Namespace) -> int:
+    """Serve live topics until a signal ends it."""
+    from scara_effmass.nodes.foxglove_server import serve  # noqa: PLC0415 - rclpy, and an optional library
+
+    show = partial(printer().print, soft_wrap=True)
+    serve(
+        args.topics,
+        args.host,
+        args.port,
+        args.ros_arguments,
+        ready=lambda port: show(f"serving on ws://{args.host}:{port}; Ctrl-C ends it"),
+        warn=show,
+    )
+    return 0
+
+
+def _watch(args: argparse.Namespace) -> int:
     """Show the cell until a signal ends it. Raises SettingsError without a terminal, or for invalid ROS arguments."""
     console = Console(highlight=False, markup=False)
     if not sys.stdout.isatty():
