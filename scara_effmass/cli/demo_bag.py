@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from scara_effmass.analysis.assessment import generated_description, joint_state_topic, payload_topics
+from scara_effmass.analysis.forces import read_force
 from scara_effmass.analysis.output import check_output_files
-from scara_effmass.analysis.pages import PageOptions
-from scara_effmass.analysis.recorded_run import read_force
+from scara_effmass.analysis.report import PageOptions
 from scara_effmass.analysis.run_report import RunReport
 from scara_effmass.bags.bag import Bag
 from scara_effmass.bags.files import open_bag

@@ -21,7 +21,7 @@ def run(args: argparse.Namespace) -> int:
     chosen = {name: value for name in ("policy", "free_parameters") if (value := getattr(args, name))}
     settings = override(settings, {"lumping": {**settings.lumping.model_dump(), **chosen}})
     if args.output:
-        from scara_effmass.analysis.lumped_figure import draw_masses  # noqa: PLC0415 - matplotlib, an extra
+        from scara_effmass.analysis.lumped_model import draw_masses  # noqa: PLC0415 - matplotlib, an extra
         from scara_effmass.analysis.report import (  # noqa: PLC0415
             figure_files,
             report_figure,

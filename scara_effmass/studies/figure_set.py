@@ -11,9 +11,7 @@ from matplotlib.figure import Figure
 
 from scara_effmass import __version__
 from scara_effmass.analysis.output import check_output_files
-from scara_effmass.analysis.pages import render
-from scara_effmass.analysis.plot_style import STYLE
-from scara_effmass.analysis.report import figure_files, report_figure, write_report_files
+from scara_effmass.analysis.report import STYLE, figure_files, render, report_figure, write_report_files
 from scara_effmass.input_files import read_table
 from scara_effmass.studies.claims import Claim, Outcome, all_claims
 from scara_effmass.studies.figures import (

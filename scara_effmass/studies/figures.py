@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import Stroke, withStroke
 
-from scara_effmass.analysis.plot_style import CYCLE, INK, ISO_RED, MARKERS, new_figure
+from scara_effmass.analysis.report import CYCLE, INK, ISO_RED, MARKERS, new_figure
 from scara_effmass.iso15066 import reduced_mass
 from scara_effmass.sim.motion import ElbowConfig
 from scara_effmass.studies.runs import (

@@ -18,7 +18,7 @@ from scipy.optimize import brentq
 from scara_effmass.errors import OutputError
 from scara_effmass.input_files import read_table
 from scara_effmass.iso15066 import Limit, limits_for
-from scara_effmass.iso15066.drives import servo_reduced_masses
+from scara_effmass.iso15066.contact import servo_reduced_masses
 from scara_effmass.model.load import load_robot
 from scara_effmass.model.lumping import is_scara
 from scara_effmass.reference import RobotDynamics
