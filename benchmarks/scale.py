@@ -20,8 +20,7 @@ import numpy as np
 from distributed import Client, LocalCluster
 from measured_page import write_section
 
-from scara_effmass.analysis.bag_assessment import BagTask
-from scara_effmass.analysis.dataset import assess_part
+from scara_effmass.analysis.dataset import BagTask, assess_part
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.cli.options import load_dynamics
 from scara_effmass.cli.tasks import Advance, open_run

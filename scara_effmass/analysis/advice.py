@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
-from scara_effmass.analysis.plot_style import CYCLE, STYLE, new_figure
+from scara_effmass.analysis.report import CYCLE, STYLE, new_figure
 from scara_effmass.cell.scaled_trajectory import ScaledTrajectory
 from scara_effmass.errors import BagError
 from scara_effmass.values import ContactAssessment, Decision, FloatArray, JointState, Verdict

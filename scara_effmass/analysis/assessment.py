@@ -12,22 +12,24 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
-from itertools import accumulate, chain, groupby
+from itertools import accumulate, chain, groupby, zip_longest
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from scara_effmass.bags.bag import Bag, first_run_info
 from scara_effmass.bags.batches import IntArray, JointStateBlock
 from scara_effmass.bags.files import open_bag
 from scara_effmass.codes import Reason
-from scara_effmass.errors import BagError, SettingsError
+from scara_effmass.errors import BagError, CrossCheckError, SettingsError
+from scara_effmass.kernel.records import FIELDS
 from scara_effmass.safety import Assessments, Monitor
 from scara_effmass.safety.assessments import joined
 from scara_effmass.safety.monitor import Pending
 from scara_effmass.settings import MonitorSettings, VelocitySource
-from scara_effmass.values import Decision, FloatArray, JointState, Payload
+from scara_effmass.values import BoolArray, Decision, FloatArray, JointState, Payload
 from scara_effmass.wire.message_types import INERTIA
 from scara_effmass.wire.payload import decode_payload
 
@@ -36,6 +38,8 @@ ROWS = 49_152
 """Contacts in one batch: smaller batches cost time, larger ones memory."""
 MAX_THREADS = 4
 """Threads that compute: one reads, and one writes, as fast as four of them."""
+TOLERANCE = 1e-10
+"""Largest difference of two numbers in a cross-check, relative for numbers above 1."""
 
 _NO_PAYLOAD = (math.inf, "")
 _NO_VELOCITY = np.empty(0)
@@ -82,11 +86,6 @@ class AssessedStates:
 
     def __len__(self) -> int:
         return len(self.log_time_ns)
-
-    @property
-    def verdicts(self) -> IntArray:
-        """Number of the verdict of each contact (m, P)."""
-        return self.assessments.contacts["verdict"].astype(np.int64)
 
     def state(self, row: int) -> JointState | None:
         """Return the joint state in `row` as recorded, with the robot's names; None for an undecodable message."""
@@ -149,10 +148,10 @@ def assess_joint_states(
     robot.
     """
     threads = min(len(os.sched_getaffinity(0)), MAX_THREADS)
-    waiting: deque[tuple[_Batch, Future[None]]] = deque()
+    waiting: deque[tuple[list[_Part], Future[None]]] = deque()
     with ThreadPoolExecutor(threads) as pool:
         for batch in _admitted(bag, topic, monitor, time, velocities, skew or ClockSkew()):
-            waiting.append((batch, pool.submit(batch.compute, monitor)))
+            waiting.append((batch, pool.submit(_compute, monitor, batch)))
             if len(waiting) > threads:
                 yield from _finished(monitor, *waiting.popleft())
         while waiting:
@@ -175,26 +174,15 @@ class _Part(NamedTuple):
     row: int
 
 
-class _Batch:
-    """Joint states on their way through the steps."""
-
-    def __init__(self) -> None:
-        self.parts: list[_Part] = []
-        self.count = 0
-
-    def add(self, part: _Part) -> None:
-        self.parts.append(part)
-        self.count += len(part.log_time_ns)
-
-    def compute(self, monitor: Monitor) -> None:
-        for part in self.parts:
-            monitor.compute(part.pending)
+def _compute(monitor: Monitor, batch: Sequence[_Part]) -> None:
+    for part in batch:
+        monitor.compute(part.pending)
 
 
-def _finished(monitor: Monitor, batch: _Batch, computed: Future[None]) -> Iterator[AssessedStates]:
+def _finished(monitor: Monitor, batch: Sequence[_Part], computed: Future[None]) -> Iterator[AssessedStates]:
     """Yield the assessments of a batch; a payload that changes their texts cuts them."""
     computed.result()
-    for _, group in groupby(batch.parts, lambda part: part.pending.texts):
+    for _, group in groupby(batch, lambda part: part.pending.texts):
         parts = list(group)
         firsts = accumulate((len(part.log_time_ns) for part in parts), initial=0)
         sources = [Source(first, part.block, part.row) for first, part in zip(firsts, parts, strict=False)]
@@ -205,15 +193,17 @@ def _finished(monitor: Monitor, batch: _Batch, computed: Future[None]) -> Iterat
 
 def _admitted(
     bag: Bag, topic: str, monitor: Monitor, time: Time, velocities: RecordedVelocities | None, skew: ClockSkew
-) -> Iterator[_Batch]:
+) -> Iterator[list[_Part]]:
     """Yield the joint states of the robot in batches, those that are refused included."""
-    size, total, batch = max(ROWS // len(monitor.dynamics.contact_points), 1), 0, _Batch()
-    clock_ns, payloads = 0, _Payloads(bag, monitor)
+    size, total, clock_ns = max(ROWS // len(monitor.dynamics.contact_points), 1), 0, 0
+    batch: list[_Part] = []
+    count, payloads = 0, _Payloads(bag, monitor)
     for block in bag.joint_state_blocks(topic):
         total += len(block) + len(block.decode_failures)
         for log_time_ns, reason in block.decode_failures:
             pending = monitor.refuse(Reason.UNDECODABLE, reason, log_time_ns)
-            batch.add(_Part(pending, np.array([log_time_ns]), None, 0))
+            batch.append(_Part(pending, np.array([log_time_ns]), None, 0))
+            count += 1
         if not len(block):
             continue
         skew.add(block.stamp_ns, block.log_time_ns)
@@ -224,19 +214,28 @@ def _admitted(
             clock_ns = int(clocks[-1])
         row = 0
         while row < len(block):
-            stop = payloads.take(block.log_time_ns, row, min(len(block), row + size - batch.count % size))
+            stop = payloads.take(block.log_time_ns, row, min(len(block), row + size - count % size))
             rows = slice(row, stop)
             for part, measured in _parts(block, rows, velocity, velocities, monitor):
                 admitted = monitor.admit(block.names, stamps[part], clocks[part], block.position[part], measured)
                 if admitted is not None:
-                    batch.add(_Part(admitted, block.log_time_ns[part], block, part.start))
+                    batch.append(_Part(admitted, block.log_time_ns[part], block, part.start))
+                    count += part.stop - part.start
             row = stop
-            if batch.count >= size:
+            if count >= size:
                 yield batch
-                batch = _Batch()
-    if batch.count:
+                batch, count = [], 0
+    if batch:
         yield batch
-    require_own_joints(bag, topic, monitor, total)
+    _require_own_joints(bag, topic, monitor, total)
+
+
+def _require_own_joints(bag: Bag, topic: str, monitor: Monitor, count: int) -> None:
+    """Raise BagError if `monitor` ignored all of `count` joint states on `topic` as those of other devices."""
+    if monitor.ignored == count > 0:
+        joints = ", ".join(monitor.dynamics.robot.joint_names)
+        problem = f"none of its joint states names a joint of the robot ({joints})"
+        raise BagError(f"{bag.path}: {topic}: {problem}{monitor.joint_map_hint}")
 
 
 def _parts(
@@ -274,14 +273,6 @@ class _Payloads:
             self._next_ns, self._payload = next(self._payloads, _NO_PAYLOAD)
         later = np.flatnonzero(log_time_ns[row:stop] >= self._next_ns)
         return row + int(later[0]) if len(later) else stop
-
-
-def require_own_joints(bag: Bag, topic: str, monitor: Monitor, count: int) -> None:
-    """Raise BagError if `monitor` ignored all of `count` joint states on `topic` as those of other devices."""
-    if monitor.ignored == count > 0:
-        joints = ", ".join(monitor.dynamics.robot.joint_names)
-        problem = f"none of its joint states names a joint of the robot ({joints})"
-        raise BagError(f"{bag.path}: {topic}: {problem}{monitor.joint_map_hint}")
 
 
 class RecordedVelocities:
@@ -387,3 +378,57 @@ def generated_description(bag: Bag) -> str:
     """Return the description of a generated motion; empty if `bag` has no run information or was measured."""
     info = first_run_info(bag)
     return info.note.partition("\n")[0] if info is not None and info.simulated else ""
+
+
+def cross_checked(
+    source: str, states: Iterator[AssessedStates], reference: Iterator[AssessedStates]
+) -> Iterator[AssessedStates]:
+    """Yield the batches of `states`, from the recording `source`, while they agree with those of `reference`.
+
+    Raises CrossCheckError, which names the first difference.
+    """
+    count = 0
+    for own, other in zip_longest(states, reference):
+        if own is None or other is None or len(own) != len(other):
+            raise CrossCheckError(f"{source}: cross-check: the number of joint states differs from the monitor's")
+        if difference := first_difference(own, other):
+            row, text = difference
+            where = f"joint state {count + row + 1} at {own.log_time_ns[row]} ns"
+            raise CrossCheckError(f"{source}: cross-check: {where}: {text} by the monitor")
+        count += len(own)
+        yield own
+
+
+def first_difference(states: AssessedStates, reference: AssessedStates) -> tuple[int, str] | None:
+    """Return the first row in which `states` differs from `reference`, and the difference in words."""
+    found = []
+    for (name, own), (_, other) in zip(_columns(states), _columns(reference), strict=True):
+        differs = _differs(own, other)
+        if differs.any():
+            row = int(differs.argmax())
+            values = (column[row : row + 1].tolist()[0] for column in (own, other))
+            found.append((row, "{} = {!r}, but {!r}".format(name, *values)))
+    return min(found, key=lambda difference: difference[0], default=None)
+
+
+def _differs(own: NDArray[Any], other: NDArray[Any]) -> BoolArray:
+    """Return which rows differ (m,)."""
+    if own.dtype.kind != "f":
+        return np.asarray(own != other)
+    with np.errstate(invalid="ignore"):
+        is_close = np.abs(own - other) <= TOLERANCE * np.maximum(1.0, np.abs(other))
+    is_equal = (own == other) | (np.isnan(own) & np.isnan(other)) | is_close
+    return np.asarray(~is_equal.reshape(len(own), -1).all(axis=1))
+
+
+def _columns(states: AssessedStates) -> Iterator[tuple[str, NDArray[Any]]]:
+    assessments = states.assessments
+    yield "log_time_ns", states.log_time_ns
+    for name in ("stamp_ns", "age", "delay", "is_admitted"):
+        yield name, assessments.states[name]
+    for point, contact in enumerate(assessments.points):
+        indices, texts = assessments.reasons(point)
+        yield f"{contact}: reason", np.array(texts, object)[indices]
+        for name in FIELDS:
+            if name != "reason":
+                yield f"{contact}: {name}", assessments.contacts[name][:, point]

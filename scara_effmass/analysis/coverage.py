@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from pydantic import BaseModel, NonNegativeInt
 
-from scara_effmass.analysis.plot_style import CYCLE, STYLE, new_figure
+from scara_effmass.analysis.report import CYCLE, STYLE, new_figure
 from scara_effmass.errors import SettingsError
 from scara_effmass.model.robot import Robot
 from scara_effmass.settings import checked

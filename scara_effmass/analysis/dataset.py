@@ -1,25 +1,43 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A dataset of assessments: a Parquet file per recording, by cell and day; no recording is assessed twice."""
+"""Assess recordings: each into a table, or into a dataset of a Parquet file per recording, by cell and day.
+
+In a dataset no recording is assessed twice.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
 from pydantic import TypeAdapter
 
 from scara_effmass import __version__
-from scara_effmass.analysis.bag_assessment import BagResult, BagTask, assess_bag
+from scara_effmass.analysis.assessment import (
+    ClockSkew,
+    Time,
+    assess_joint_states,
+    cross_checked,
+    generated_description,
+    joint_state_topic,
+    open_velocities,
+)
+from scara_effmass.analysis.forces import RecordedForce, read_force
 from scara_effmass.analysis.output import atomic_file
-from scara_effmass.analysis.summary import Summary, SummaryState, iso_time
-from scara_effmass.analysis.tables import open_writer, provenance
+from scara_effmass.analysis.summary import Summary, iso_time
+from scara_effmass.analysis.tables import AssessmentWriter, open_writer, provenance
+from scara_effmass.analysis.time_series import TimeSeries, TimeSeriesBuilder
 from scara_effmass.bags.files import open_bag
 from scara_effmass.errors import BagError, OutputError
 from scara_effmass.input_files import digest
 from scara_effmass.reference import RobotDynamics
+from scara_effmass.safety import Monitor
+from scara_effmass.settings import MonitorSettings
 from scara_effmass.url import Url
 
 RECORDS = "_results"
@@ -27,12 +45,88 @@ RECORDS = "_results"
 UNKNOWN_CELL = "unknown"
 
 
+@dataclass(frozen=True, slots=True)
+class BagTask:
+    """What to do with each recording; can be pickled. `topic` None: the only one with joint states.
+
+    `velocity_bag` holds the velocities, if given; `report` keeps the time series and the force; `cross_check` compares
+    with the decisions of a second monitor.
+    """
+
+    settings: MonitorSettings
+    time: Time = Time.LIVE
+    topic: str | None = None
+    velocity_bag: Path | None = None
+    report: bool = False
+    cross_check: bool = False
+
+
+@dataclass(slots=True)
+class BagResult:
+    """Result of one recording; can be pickled. `series` by contact point and `force` are for the report."""
+
+    summary: Summary
+    counts: dict[str, int]
+    losses: tuple[str, ...]
+    notes: list[tuple[str, str]]
+    generated: bool = False
+    force: RecordedForce | None = None
+    series: Mapping[str, TimeSeries] = field(default_factory=dict)
+
+
+def assess_bag(
+    path: Path, task: BagTask, dynamics: RobotDynamics, table: AssessmentWriter, advance: Callable[[int, int], object]
+) -> BagResult:
+    """Assess the joint states of the bag at `path` with a fresh monitor and write them to `table`.
+
+    `dynamics` is the robot of the settings. `advance` is called with a number of further joint states and their total.
+    Raises BagError, SettingsError and CrossCheckError.
+    """
+    settings, count = task.settings, 0
+    with (
+        open_bag(path) as bag,
+        open_velocities(task.velocity_bag, task.topic, settings) as velocities,
+        ExitStack() as stack,
+    ):
+        topic = joint_state_topic(bag, task.topic)
+        total = next(t.count for t in bag.topics if t.name == topic)
+        series = [TimeSeriesBuilder() for _ in dynamics.contact_points] if task.report else []
+        monitor, name = Monitor(dynamics, settings), str(bag.path)
+        summary, skew = Summary(round(settings.timeout * 1e9)), ClockSkew()
+        batches = assess_joint_states(bag, topic, monitor, task.time, velocities, skew)
+        if task.cross_check:
+            reference = Monitor(dynamics, settings, use_reference=True)
+            second = stack.enter_context(open_bag(path))
+            others = stack.enter_context(open_velocities(task.velocity_bag, task.topic, settings))
+            expected = assess_joint_states(second, topic, reference, task.time, others)
+            batches = cross_checked(name, batches, expected)
+        with ThreadPoolExecutor(1) as writer:
+            written = writer.submit(lambda: None)
+            for states in batches:
+                advance(len(states), total)
+                count += len(states)
+                written.result()  # at most one batch waits
+                written = writer.submit(table.add, name, states)
+                summary.add(states, name)
+                for point, builder in enumerate(series):
+                    builder.add(states, point)
+            written.result()
+        counts = {"joint_states": count + monitor.ignored, "foreign": monitor.ignored, "refused": monitor.rejected}
+        result = BagResult(summary, counts, (), list(skew.lines(settings, task.time)))
+        if task.report:
+            builds = (builder.build() for builder in series)
+            result.series = dict(zip(dynamics.contact_points, builds, strict=True))
+            result.force, result.generated = read_force(bag), bool(generated_description(bag))
+        result.losses = bag.losses
+    return result
+
+
 class Record(NamedTuple):
     """Result of one recording: `key` is a hash of all that it depends on, `part` the file of the assessed states."""
 
     key: str
     part: str
-    summary: SummaryState
+    summary: Summary
     counts: dict[str, int]
     losses: tuple[str, ...]
     notes: list[tuple[str, str]]
@@ -76,15 +170,14 @@ def assess_part(
                 (folder / record.part).unlink(missing_ok=True)
         elif not task.cross_check and (folder / record.part).exists():
             advance(1, 1)
-            summary = Summary.of_state(record.summary)
-            return BagResult(summary, dict(record.counts), record.losses, list(record.notes))
+            return BagResult(record.summary, record.counts, record.losses, record.notes)
     with open_bag(path) as bag:
         day = iso_time(bag.start_ns)[:10]
     part = f"cell={cell}/day={day}/{path.stem}-{content[:16]}.parquet"
     origin = provenance(task.settings, dynamics.robot.origin, [path])
     with open_writer(folder / part, origin, dynamics.robot.base_frame, overwrite=True) as table:
         result = assess_bag(path, task, dynamics, table, advance)
-    record = Record(key, part, result.summary.state(), result.counts, result.losses, result.notes)
+    record = Record(key, part, result.summary, result.counts, result.losses, result.notes)
     with atomic_file(file, overwrite=True) as unfinished:
         unfinished.write_bytes(_RECORD.dump_json(record))
     return result

@@ -1,15 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Verdict on the test points of a measurement protocol: OK only if nothing is missing and nothing is doubtful."""
+"""Fill recorded contacts into a measurement protocol, evaluate its test points, and report them.
+
+The verdict on a test point is OK only if nothing is missing and nothing is doubtful.
+"""
 
 import math
+import os
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
+from datetime import datetime, timezone
+from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from scara_effmass.analysis.force_traces import sampling_loss
+from scara_effmass.analysis.forces import AFTER_S, ForceTrace, ShownTrace, file_traces, sampling_loss, shown
 from scara_effmass.analysis.protocol import (
     MIN_REPETITIONS,
     ContactTest,
@@ -19,18 +26,107 @@ from scara_effmass.analysis.protocol import (
     Repetition,
     missing,
 )
+from scara_effmass.analysis.report import PAGE, PageOptions, file_hashes, render, write_report_files
 from scara_effmass.analysis.summary import worst
-from scara_effmass.errors import SettingsError
+from scara_effmass.analysis.validation import ValidatedRecording, Validation
+from scara_effmass.errors import BagError, EffmassError, SettingsError
 from scara_effmass.impacts.agreement import region_force
 from scara_effmass.input_files import digest
-from scara_effmass.iso15066 import TABLE_HASH, Limit, limits_for
-from scara_effmass.settings import ContactType, MonitorSettings
-from scara_effmass.values import Verdict
+from scara_effmass.iso15066 import TABLE_HASH, TRANSIENT_S, Limit, limits_for
+from scara_effmass.settings import ContactType, ImportSettings, MonitorSettings
+from scara_effmass.values import ValidatedImpact, Verdict
 
+RECORD = "report.json"
+MAX_CONTACT_S = 10.0
+"""Time after the onset in which the force counts, unless another contact begins."""
 SPEED_TOLERANCE = 0.05
 """Share of the commanded speed by which a contact may be slower."""
 STIFFNESS_TOLERANCE = 0.1
 """Largest relative difference of stiffness with which a device stands for the body region."""
+
+
+def repetitions(validation: Validation, settings: ImportSettings, folder: Path) -> tuple[Repetition, ...]:
+    """Return the contacts of `validation`; paths are relative to `folder`. Raises BagError if there is none."""
+    contacts = tuple(item for recording in validation.recordings for item in _repetitions(recording, settings, folder))
+    if not contacts:
+        left_out = {**validation.result.excluded, **validation.result.unpaired}
+        reasons = "; ".join(f"{count}: {reason}" for reason, count in left_out.items())
+        names = ", ".join(str(recording.path) for recording in validation.recordings)
+        raise BagError(f"{names}: no contact ({reasons})" if reasons else f"{names}: no contact")
+    return contacts
+
+
+def _repetitions(recording: ValidatedRecording, settings: ImportSettings, folder: Path) -> Iterator[Repetition]:
+    path = recording.files[-1]
+    raw = {
+        "raw_data": os.path.relpath(path.resolve(), folder.resolve()),
+        "raw_sha256": digest(path, BagError),
+        "raw_offset_s": recording.force_offset if recording.force_clock else None,
+    }
+    for impact, trace in zip(recording.impacts, recording.force_traces(settings, MAX_CONTACT_S), strict=True):
+        yield _repetition(impact, trace).model_copy(update=raw)
+
+
+def _repetition(impact: ValidatedImpact, trace: ForceTrace) -> Repetition:
+    """Return one contact; without force blocks, or with samples lost or saturated after it, only its peak is known."""
+
+    def rounded(value: float) -> float:
+        return float(f"{value:.6g}")
+
+    peak, beyond = impact.measured_force, None
+    if trace.complete and trace.time.size and trace.time[-1] > 0.0:
+        is_early = trace.time <= TRANSIENT_S
+        early, late = trace.force[is_early], trace.force[~is_early]
+        if late.size:
+            # The interpolated peak of an impact may lie between two samples.
+            peak = max(float(early.max()), impact.measured_force if late.max() < early.max() else 0.0)
+            beyond = rounded(max(float(late.max()), 0.0))
+    return Repetition(
+        time=datetime.fromtimestamp(impact.stamp_ns / 1e9, timezone.utc).astimezone(),  # the local day is the test date
+        reached_speed_m_s=rounded(impact.speed),
+        transient_peak_n=rounded(peak),
+        force_beyond_0_5_s_n=beyond,
+        duration_s=trace.duration and rounded(trace.duration),
+        effective_mass_kg=rounded(impact.effective_mass),
+        reduced_mass_kg=rounded(impact.reduced_mass),
+        predicted_force_n=rounded(impact.predicted_force),
+        simulated=impact.simulated,
+    )
+
+
+def device_of(protocol: Protocol, test: ContactTest, origin: str) -> Instrument:
+    """Return the device of `test`. Raises SettingsError if a value is missing that predictions need."""
+    device = protocol.device(test)
+    if device is None:
+        raise SettingsError(
+            f"{origin}: tests.{test.id}.instrument = {test.instrument}: must be the id of an instrument"
+        )
+    needed = {
+        f"instruments.{device.id}.stiffness_n_m": device.stiffness_n_m,
+        f"instruments.{device.id}.fixed": device.fixed,
+        f"instruments.{device.id}.moving_mass_kg": device.fixed or device.moving_mass_kg,
+        f"tests.{test.id}.point.body_region": test.point.body_region,
+        f"tests.{test.id}.point.contact": test.point.contact,
+        f"tests.{test.id}.point.contact_area_m2": test.point.contact_area_m2,
+    }
+    for name, value in needed.items():
+        if value is None:
+            raise SettingsError(f"{origin}: {name}: must be stated before contacts are filled in")
+    return device
+
+
+def evaluated(protocol: Protocol, folder: Path) -> Protocol:
+    """Return `protocol` with hashes of all raw data and a new evaluation of every test. Raises SettingsError."""
+    for test in protocol.tests:
+        items = tuple(
+            item.model_copy(update={"raw_sha256": digest(folder / item.raw_data, SettingsError)})
+            if item.raw_data and not item.raw_sha256
+            else item
+            for item in test.results.repetitions
+        )
+        hashed = test.with_results(repetitions=items)
+        protocol = protocol.replaced(hashed.with_results(evaluation=evaluate(protocol, hashed, folder)))
+    return protocol
 
 
 class Uncertainty(NamedTuple):
@@ -156,10 +252,9 @@ def _values(test: ContactTest, instrument: Instrument) -> dict[str, float | bool
         values["residual"] = float(np.mean(errors))
     if not (point.body_region and point.contact_area_m2):
         return values
+    settings = MonitorSettings(body_regions=(point.body_region,), contact_area_m2=point.contact_area_m2)
     transient, held = (
-        limits_for(
-            MonitorSettings(body_regions=(point.body_region,), contact=contact, contact_area_m2=point.contact_area_m2)
-        )[0]
+        limits_for(settings.model_copy(update={"contact": contact}))[0]
         for contact in (ContactType.TRANSIENT, ContactType.QUASI_STATIC)
     )
     if point.contact is ContactType.QUASI_STATIC:  # a clamped body part cannot move
@@ -204,3 +299,49 @@ def _judged_force(limit: Limit, instrument: Instrument, item: Repetition) -> flo
         return None
     force = region_force([limit], peak, [mass], device, instrument.stiffness_n_m).force
     return max(force, peak) if _stands_for(instrument.stiffness_n_m, limit) else force
+
+
+def write_report(protocol: Protocol, path: Path, folder: Path, options: PageOptions, *, overwrite: bool) -> None:
+    """Write the report of the evaluated `protocol` in the file at `path` into `folder`. Raises OutputError."""
+    content = record(protocol)
+    contacts = [item for test in protocol.tests for item in test.results.repetitions]
+    data = [path.parent / item.raw_data for item in contacts if item.raw_data]
+    photos = [path.parent / name for test in protocol.tests for name in test.results.photos or ()]
+    devices = [(test, protocol.device(test)) for test in protocol.tests]
+    page = render(
+        "protocol.html",
+        options.language,
+        protocol=protocol,
+        verdict=content["verdict"],
+        running=protocol.identity.robot_model or path.name,
+        simulated=any(item.simulated for item in contacts),
+        traces=list(_traces(protocol, path.parent)),
+        budgets=[(test.id, uncertainty(test, device) if device else None) for test, device in devices],
+        files=file_hashes(Path(os.path.normpath(item)) for item in (path, *data, *photos)),
+    )
+    write_report_files(folder, {PAGE: page, RECORD: content}, options=options, overwrite=overwrite)
+
+
+def _traces(protocol: Protocol, folder: Path) -> Iterator[ShownTrace]:
+    """Yield the force of the contacts whose raw data needs no further settings to be read."""
+    for test in protocol.tests:
+        items = [
+            (f"{test.id}, {number}", round(item.time.timestamp() * 1e6) * 1000, item)
+            for number, item in enumerate(test.results.repetitions, start=1)
+            if item.raw_data and item.time and item.transient_peak_n is not None
+        ]
+        for (name, offset_s), group in groupby(items, lambda entry: (entry[2].raw_data, entry[2].raw_offset_s or 0.0)):
+            contacts = list(group)  # of one file, so that it is read once
+            with suppress(EffmassError):
+                onsets_ns = [onset_ns for _, onset_ns, _ in contacts]
+                traces = file_traces(folder / str(name), ImportSettings(), onsets_ns, AFTER_S, offset_s)
+                for (title, onset_ns, item), trace in zip(contacts, traces, strict=True):
+                    yield from shown(
+                        title,
+                        onset_ns,
+                        trace,
+                        simulated=bool(item.simulated),
+                        peak=item.transient_peak_n or 0.0,
+                        predicted=item.predicted_force_n,
+                        speed=item.reached_speed_m_s,
+                    )

@@ -1,28 +1,45 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The report of a run, live or offline: a figure and the episodes of each contact point, a page, and a summary."""
+"""The report of a run, live or offline: a figure and the episodes of each contact point, a page, and a summary.
+
+A figure shows verdict, speed and its limit, effective masses, and force over time.
+"""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 from textwrap import shorten
 from typing import Any
 
-from scara_effmass.analysis.figure import draw_run
-from scara_effmass.analysis.force_traces import ShownTrace, recorded_traces
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from scara_effmass.analysis.forces import RecordedForce, ShownTrace, recorded_traces
 from scara_effmass.analysis.output import check_output_files
-from scara_effmass.analysis.pages import PageOptions, file_hashes, render, setting_rows
-from scara_effmass.analysis.recorded_run import RecordedForce
-from scara_effmass.analysis.report import ReportFigure, figure_files, report_figure, write_report_files
+from scara_effmass.analysis.report import (
+    ENGLISH_PAGE,
+    PAGE,
+    PageOptions,
+    ReportFigure,
+    figure_files,
+    file_hashes,
+    render,
+    report_figure,
+    setting_rows,
+    write_report_files,
+)
 from scara_effmass.analysis.summary import WORST_FIRST, worst
-from scara_effmass.analysis.time_series import Episode, TimeSeries, intervals
+from scara_effmass.analysis.time_series import Episode, TimeSeries, decimate, intervals
 from scara_effmass.iso15066 import Limit, limits_for
 from scara_effmass.safety.remedies import remedy
 from scara_effmass.settings import MonitorSettings
-from scara_effmass.values import Verdict
+from scara_effmass.values import VERDICT_COLORS, FloatArray, Verdict
 
-PAGE, SUMMARY = "report.html", "summary.json"
-ENGLISH_PAGE = PageOptions()
+SUMMARY = "summary.json"
 CAPTION = (
     "Verdict; speed of the contact point and its allowable speed; effective masses. "
     "Hatched: UNKNOWN, or no joint state."
@@ -31,6 +48,23 @@ MAX_MODELS_LENGTH = 180
 """Length of the line with the mass models that decided, and why."""
 MAX_ROWS = 100
 """Most episodes in a table of the page; the summary lists all."""
+COLUMNS = 1500
+"""Approximate width of the data [pixel]; lines are decimated to it."""
+SUBTITLE_IN = 0.37
+"""Distance of the top of the subtitle from the upper edge [inch]."""
+MAX_LINEAR_RATIO = 12.0
+"""Maximum ratio of the masses on a linear axis; beyond it the axis is logarithmic."""
+
+_VERDICT_STYLES: dict[Verdict, dict[str, Any]] = {
+    verdict: {"facecolor": color, "linewidth": 0.0} for verdict, color in VERDICT_COLORS.items()
+}
+_VERDICT_STYLES[Verdict.UNKNOWN] |= {"hatch": "////", "edgecolor": "#777777"}
+_STYLE: dict[Any, Any] = {
+    "font.size": 10.0,
+    "axes.grid": True,
+    "grid.alpha": 0.3,
+    "hatch.linewidth": 0.6,
+}
 
 
 class RunReport:
@@ -142,10 +176,8 @@ class RunReport:
             files=file_hashes([*paths, settings.robot_path]),
             setting_rows=list(setting_rows("monitor", settings, changed_only=True)),
         )
-        pdf_of = PAGE if self._options.pdf else None
-        write_report_files(
-            self._folder, {PAGE: page, SUMMARY: summary}, figures, overwrite=self._overwrite, pdf_of=pdf_of
-        )
+        texts: dict[str, str | dict[str, Any]] = {PAGE: page, SUMMARY: summary}
+        write_report_files(self._folder, texts, figures, self._options, overwrite=self._overwrite)
         return summary
 
     def _regions(self) -> Iterator[tuple[Limit, int, float | None, str]]:
@@ -155,3 +187,121 @@ class RunReport:
             margins = [item["min_margin_m_s"] for item in episodes if item["min_margin_m_s"] is not None]
             verdict = worst(Verdict[item["verdict"]] for item in episodes).name if episodes else ""
             yield limit, len(episodes), min(margins, default=None), verdict
+
+
+def draw_run(
+    series: TimeSeries,
+    *,
+    title: str,
+    subtitle: str,
+    mass_model: str,
+    timeout: float,
+    forces: RecordedForce | None = None,
+) -> Figure:
+    """Return the figure of one contact point; `mass_model` names the mass model that decides the verdict.
+
+    A gap longer than `timeout` [s] without joint states is UNKNOWN. `forces` get a panel of their own.
+    """
+    with mpl.rc_context(_STYLE):
+        heights = (0.25, 2.2, 1.6, 1.3) if forces else (0.25, 2.2, 1.6)
+        figure = Figure(figsize=(13.0, 1.9 * sum(heights)), layout="constrained")
+        FigureCanvasAgg(figure)
+        rows = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
+        band, speeds, masses = rows[:3]
+        series = series.with_gaps(timeout)
+        episodes = list(intervals(series, timeout))
+        _draw_verdicts(band, episodes, min_width=float(series.time[-1]) / COLUMNS)
+        _draw_speeds(speeds, series)
+        _draw_masses(masses, series, mass_model)
+        if forces:
+            _draw_forces(rows[-1], forces, series.start_ns)
+        rows[-1].set_xlabel("time since the first joint state [s]")
+        masses.set_xlim(0.0, max(float(series.time[-1]), 1e-3))
+        unknown = [(item.start, item.stop - item.start) for item in episodes if item.verdict is Verdict.UNKNOWN]
+        style = {"facecolor": "none", "edgecolor": "#BBBBBB", "hatch": "////", "linewidth": 0.0}
+        for axes in (speeds, masses):
+            axes.broken_barh(unknown, (0.0, 1.0), transform=axes.get_xaxis_transform(), zorder=0, **style)
+        title += "\n" * (1 + subtitle.count("\n"))
+        figure.suptitle(title, fontsize=13.0, fontweight="bold", x=0.01, ha="left")
+        below_title = 1.0 - SUBTITLE_IN / figure.get_figheight()
+        figure.text(0.01, below_title, subtitle, fontsize=9.5, color="#444444", va="top")
+        figure.align_ylabels()
+    return figure
+
+
+def _draw_verdicts(axes: Axes, episodes: Sequence[Episode], min_width: float) -> None:
+    """Draw the band of verdicts; `min_width` [s] keeps the verdict of a single cycle visible."""
+    patches = []
+    for verdict, style in _VERDICT_STYLES.items():
+        bars = [
+            (episode.start, max(episode.stop - episode.start, min_width))
+            for episode in episodes
+            if episode.verdict is verdict
+        ]
+        axes.broken_barh(bars, (0.0, 1.0), **style)
+        if bars:
+            patches.append(Patch(label=verdict.name, **style))
+    axes.set_ylim(0.0, 1.0)
+    axes.set_yticks([])
+    axes.grid(visible=False)
+    axes.set_ylabel("verdict", rotation=0, ha="right", va="center")
+    axes.legend(handles=patches, loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False, ncols=2)
+
+
+def _draw_speeds(axes: Axes, series: TimeSeries) -> None:
+    _line(axes, series, series.allowable_speed, color="#0072B2", linewidth=1.6, label="allowable speed")
+    _line(axes, series, series.speed, color="#000000", linewidth=1.2, label="speed")
+    above = np.where(series.speed > series.allowable_speed, series.speed, np.nan)
+    if np.isfinite(above).any():
+        _line(axes, series, above, color="#D55E00", linewidth=2.4, label="speed above the allowable")
+    axes.set_ylabel("speed of the contact point [m/s]")
+    axes.set_ylim(bottom=0.0)
+    _legend(axes)
+
+
+def _draw_masses(axes: Axes, series: TimeSeries, mass_model: str) -> None:
+    for model, values, label, color, style in (
+        ("lumped", series.lumped_mass, "lumped model", "#0072B2", ":"),
+        ("full", series.full_mass, "full model", "#000000", "--"),
+        ("iso", series.iso_mass, "ISO, M/2 + m_L", "#CC79A7", "-."),
+    ):
+        if np.isfinite(values).any():
+            if model == mass_model:
+                _line(axes, series, values, color=color, linestyle="-", linewidth=2.2, label=f"{label} (decides)")
+            else:
+                _line(axes, series, values, color=color, linestyle=style, linewidth=1.3, label=label)
+    if mass_model in {"largest", "auto"}:
+        label = f"{mass_model} (decides)"
+        _line(axes, series, series.effective_mass, color="#E69F00", linewidth=4.0, alpha=0.5, label=label)
+    masses = np.concatenate([line.get_ydata() for line in axes.get_lines()] or [np.empty(0)])
+    masses = masses[np.isfinite(masses)]
+    if len(masses) and masses.max() > MAX_LINEAR_RATIO * masses.min():
+        axes.set_yscale("log")
+        axes.yaxis.set_major_formatter("{x:g}")
+    else:
+        axes.set_ylim(bottom=0.0)
+    axes.set_ylabel("effective mass [kg]")
+    _legend(axes)
+
+
+def _draw_forces(axes: Axes, forces: RecordedForce, start_ns: int) -> None:
+    time = (forces.stamp_ns - start_ns) / 1e9
+    label = "simulated force" if forces.simulated else "measured force"
+    axes.plot(*decimate(time, forces.force, COLUMNS), color="#000000", linewidth=1.0, label=label)
+    for usable, marker, label in ((True, "v", "impact"), (False, "x", "impact, clipped or incomplete")):
+        impacts = [impact for impact in forces.impacts if usable is not (impact.clipped or impact.incomplete)]
+        if impacts:
+            onsets = [(impact.stamp_ns - start_ns) / 1e9 for impact in impacts]
+            peaks = [impact.peak_force for impact in impacts]
+            axes.plot(onsets, peaks, linestyle="none", marker=marker, color="#D55E00", label=label)
+    axes.set_ylabel("force [N]")
+    _legend(axes)
+
+
+def _line(axes: Axes, series: TimeSeries, values: FloatArray, **style: object) -> None:
+    axes.plot(*decimate(series.time, values, COLUMNS), **style)  # type: ignore[arg-type]
+
+
+def _legend(axes: Axes) -> None:
+    if axes.get_lines():
+        axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False)

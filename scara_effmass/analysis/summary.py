@@ -5,20 +5,22 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from datetime import datetime, timezone
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
-from typing_extensions import TypedDict
 
 from scara_effmass.analysis.assessment import AssessedStates
 from scara_effmass.bags.batches import IntArray
 from scara_effmass.codes import Reason
 from scara_effmass.kernel.state import CODE
+from scara_effmass.safety.assessments import Records
 from scara_effmass.safety.remedies import remedy
-from scara_effmass.values import ContactAssessment, Verdict, severity
+from scara_effmass.values import ContactAssessment, Verdict
 
 NUMBER = re.compile(r"(?<![\w.])-?\d+(\.\d+)?(e[-+]?\d+)?(?![\w])")
 """Numbers in a reason, but no digits in names; reasons that differ only in numbers are counted together."""
@@ -30,8 +32,6 @@ REASONS_SHOWN = 5
 MAX_UNKNOWN_SHARE = 0.05
 """Share of UNKNOWN above which the summary states a remedy."""
 
-SEVERITIES = np.array([severity(verdict) for verdict in Verdict])
-"""Severity of each verdict by its number."""
 WORST_FIRST = (Verdict.VIOLATION, Verdict.UNKNOWN, Verdict.WARN, Verdict.OK)
 """Order of the verdicts on several intervals or tests; for one joint state UNKNOWN outweighs VIOLATION (`severity`)."""
 
@@ -46,6 +46,18 @@ def iso_time(stamp_ns: int) -> str:
 def worst(verdicts: Iterable[Verdict]) -> Verdict:
     """Return the verdict on several intervals or tests: VIOLATION outweighs UNKNOWN. Without any it is UNKNOWN."""
     return min(verdicts, key=WORST_FIRST.index, default=Verdict.UNKNOWN)
+
+
+def mass_model_counts(contacts: Records, labels: Mapping[str, Sequence[str]]) -> Counter[str]:
+    """Count the mass models that decide `contacts` (m,), with the reasons for them; `labels` are the texts of codes."""
+    models, whys = labels["mass_model"], labels["mass_model_reason"]
+    pairs = contacts["mass_model"].astype(np.int64) * len(whys) + contacts["mass_model_reason"].astype(np.int64)
+    counts: Counter[str] = Counter()
+    for pair, count in _counts(pairs):
+        model, why = divmod(pair, len(whys))
+        if models[model]:
+            counts[f"{models[model]}: {whys[why]}"] += count
+    return counts
 
 
 class TightestMargin(NamedTuple):
@@ -89,67 +101,44 @@ class TightestMargin(NamedTuple):
         }
 
 
-class SummaryState(TypedDict):
-    """All counts of a `Summary`, for JSON."""
-
-    timeout_ns: int
-    last: tuple[int, Verdict] | None
-    cycles: dict[Verdict, int]
-    time_ns: dict[Verdict, int]
-    reasons: dict[str, int]
-    codes: dict[str, Reason]
-    numbers: dict[str, list[tuple[float, float]]]
-    mass_models: dict[str, int]
-    gaps: int
-    max_gap_ns: int
-    gaps_ns: int
-    tightest: TightestMargin | None
-
-
+@dataclass
 class Summary:
     """Count cycles in bounded memory. The verdict of a cycle is that of its worst contact point.
 
-    A verdict lasts until the next joint state, at most for `timeout_ns`; the rest of a longer gap is UNKNOWN.
+    A verdict lasts until the next joint state, at most for `timeout_ns`; the rest of a longer gap is UNKNOWN. `last` is
+    the time and verdict of the last cycle. In `reasons` "…" stands for each number; `codes` and `numbers` hold the code
+    of each reason and the ranges of its numbers.
     """
 
-    def __init__(self, timeout_ns: int) -> None:
-        """Start at zero."""
-        self._timeout_ns = timeout_ns
-        self._last: tuple[int, Verdict] | None = None
-        self.cycles: Counter[Verdict] = Counter()
-        self.time_ns: Counter[Verdict] = Counter()
-        self.reasons: Counter[str] = Counter()
-        self._codes: dict[str, Reason] = {}
-        self._numbers: dict[str, list[tuple[float, float]]] = {}
-        self.mass_models: Counter[str] = Counter()
-        self.gaps = 0
-        self.max_gap_ns = self._gaps_ns = 0
-        self.tightest: TightestMargin | None = None
+    timeout_ns: int
+    last: tuple[int, Verdict] | None = None
+    cycles: Counter[Verdict] = field(default_factory=Counter)
+    time_ns: Counter[Verdict] = field(default_factory=Counter)
+    reasons: Counter[str] = field(default_factory=Counter)
+    codes: dict[str, Reason] = field(default_factory=dict)
+    numbers: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
+    mass_models: Counter[str] = field(default_factory=Counter)
+    gaps: int = 0
+    max_gap_ns: int = 0
+    gaps_ns: int = 0
+    tightest: TightestMargin | None = None
 
     def add(self, states: AssessedStates, source: str = "") -> None:
         """Count `states`, from the recording `source` if its name is known."""
-        records, labels = states.assessments.states, states.assessments.labels
+        contacts, records = states.assessments.contacts, states.assessments.states
         deciding, shown = records["contact"], records["verdict"].astype(np.int8)
-        models, whys = labels["mass_model"], labels["mass_model_reason"]
         self.cycles.update({verdict: count for verdict in Verdict if (count := int((shown == verdict).sum()))})
         self._find_tightest(states, source)
-        contacts = states.assessments.contacts
         for point in range(contacts.shape[1]):
-            decides = deciding == point
-            is_unknown = decides & (shown == Verdict.UNKNOWN)
-            if is_unknown.any():
+            decides, unknown = deciding == point, shown == Verdict.UNKNOWN
+            if (decides & unknown).any():
                 indices, texts = states.assessments.reasons(point)
-                for index, count in _counts(indices[is_unknown]):
+                for index, count in _counts(indices[decides & unknown]):
                     text = texts[index].replace("…", "...")  # "…" will stand for a number
                     numbers = [float(number.group()) for number in NUMBER.finditer(text)]
                     code = Reason(int(contacts["reason"][int(np.argmax(indices == index)), point, CODE]))
                     self._count_reason(NUMBER.sub("…", text), code, count, [(number, number) for number in numbers])
-            decides &= shown != Verdict.UNKNOWN
-            pairs = contacts["mass_model"][:, point] * len(whys) + contacts["mass_model_reason"][:, point]
-            for pair, count in _counts(pairs[decides].astype(np.int64)):
-                model, reason = divmod(pair, len(whys))
-                if models[model]:
-                    self.mass_models[f"{models[model]}: {whys[reason]}"] += count
+            self.mass_models += mass_model_counts(contacts[decides & ~unknown, point], states.assessments.labels)
         self._pass_time(states.log_time_ns, shown)
 
     def _find_tightest(self, states: AssessedStates, source: str) -> None:
@@ -173,8 +162,8 @@ class Summary:
         shares = self.cycles[Verdict.UNKNOWN] / (self.cycles.total() or 1), unknown_ns / (total_ns or 1)
         if max(shares) <= MAX_UNKNOWN_SHARE:
             return ""
-        in_gaps = not self.reasons or 2 * self._gaps_ns > unknown_ns
-        return remedy(Reason.GAP if in_gaps else self._codes[self.reasons.most_common(1)[0][0]])
+        in_gaps = not self.reasons or 2 * self.gaps_ns > unknown_ns
+        return remedy(Reason.GAP if in_gaps else self.codes[self.reasons.most_common(1)[0][0]])
 
     def reason_counts(self) -> dict[str, int]:
         """Return the number of UNKNOWN cycles by reason, most frequent first, with the ranges of its numbers."""
@@ -182,23 +171,10 @@ class Summary:
         for reason, count in self.reasons.most_common():
             first, *others = reason.split("…")
             ends = (
-                f"{low:.10g}" if low == high else f"{low:.10g} to {high:.10g}" for low, high in self._numbers[reason]
+                f"{low:.10g}" if low == high else f"{low:.10g} to {high:.10g}" for low, high in self.numbers[reason]
             )
             counts[first + "".join(map(str.__add__, ends, others))] = count
         return counts
-
-    def state(self) -> SummaryState:
-        """Return all counts, from which `of_state` restores the summary."""
-        return cast("SummaryState", {name.lstrip("_"): value for name, value in vars(self).items()})
-
-    @classmethod
-    def of_state(cls, state: SummaryState) -> Summary:
-        """Return the summary with the counts in `state`."""
-        summary = cls(state["timeout_ns"])
-        for name, empty in vars(summary).items():
-            value = state[name.lstrip("_")]  # type: ignore[literal-required]
-            setattr(summary, name, Counter(value) if isinstance(empty, Counter) else value)
-        return summary
 
     def merge(self, other: Summary) -> None:
         """Add the counts of another recording; the time between the two is not counted."""
@@ -206,10 +182,10 @@ class Summary:
         self.time_ns += other.time_ns
         self.mass_models += other.mass_models
         for reason, count in other.reasons.items():
-            self._count_reason(reason, other._codes[reason], count, other._numbers[reason])
+            self._count_reason(reason, other.codes[reason], count, other.numbers[reason])
         self.gaps += other.gaps
         self.max_gap_ns = max(self.max_gap_ns, other.max_gap_ns)
-        self._gaps_ns += other._gaps_ns
+        self.gaps_ns += other.gaps_ns
         margins = [tightest for tightest in (self.tightest, other.tightest) if tightest is not None]
         self.tightest = min(margins, key=lambda tightest: tightest.contact.margin, default=None)
 
@@ -218,11 +194,11 @@ class Summary:
         if reason not in self.reasons and len(self.reasons) >= MAX_REASONS:
             reason, code = OTHER_REASONS, Reason.STATED
         self.reasons[reason] += count
-        self._codes[reason] = code
-        before = self._numbers.setdefault(reason, ranges if reason != OTHER_REASONS else [])
+        self.codes[reason] = code
+        before = self.numbers.setdefault(reason, ranges if reason != OTHER_REASONS else [])
         if reason != OTHER_REASONS:
             pairs = zip(before, ranges, strict=True)
-            self._numbers[reason] = [(min(a, c), max(b, d)) for (a, b), (c, d) in pairs]
+            self.numbers[reason] = [(min(a, c), max(b, d)) for (a, b), (c, d) in pairs]
 
     def as_dict(self) -> dict[str, Any]:
         """Return all counts for JSON, units in the names."""
@@ -261,27 +237,23 @@ class Summary:
             yield "remedy", self.remedy
 
     def _pass_time(self, at_ns: IntArray, verdicts: NDArray[np.int8]) -> None:
-        if self._last is not None:
-            at_ns, verdicts = np.append(self._last[0], at_ns), np.append(self._last[1], verdicts)
-        self._last = int(at_ns[-1]), Verdict(verdicts[-1])
+        if self.last is not None:
+            at_ns, verdicts = np.append(self.last[0], at_ns), np.append(self.last[1], verdicts)
+        self.last = int(at_ns[-1]), Verdict(verdicts[-1])
         # Stamps may be out of order; no time is counted twice.
         elapsed_ns = np.maximum(np.diff(at_ns), 0)
-        counted_ns = np.minimum(elapsed_ns, self._timeout_ns)
+        counted_ns = np.minimum(elapsed_ns, self.timeout_ns)
         gaps_ns = int((elapsed_ns - counted_ns).sum())
         for verdict in Verdict:
             self.time_ns[verdict] += int(counted_ns[verdicts[:-1] == verdict].sum())
         self.time_ns[Verdict.UNKNOWN] += gaps_ns
-        self._gaps_ns += gaps_ns
-        is_gap = elapsed_ns > self._timeout_ns
+        self.gaps_ns += gaps_ns
+        is_gap = elapsed_ns > self.timeout_ns
         self.gaps += int(is_gap.sum())
         self.max_gap_ns = max(self.max_gap_ns, int(elapsed_ns[is_gap].max(initial=0)))
 
 
 def _counts(values: NDArray[Any]) -> Iterator[tuple[int, int]]:
     """Yield each distinct value and how often it occurs, in the order of first occurrence."""
-    if len(values) and (values == values[0]).all():  # the usual case, which needs no sorting
-        yield int(values[0]), len(values)
-        return
-    unique, first, counts = np.unique(values, return_index=True, return_counts=True)
-    for index in np.argsort(first).tolist():
-        yield int(unique[index]), int(counts[index])
+    counted = pa.array(values).value_counts()
+    return zip(counted.field("values").to_pylist(), counted.field("counts").to_pylist(), strict=True)

@@ -6,14 +6,15 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields, replace
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scara_effmass.analysis.assessment import AssessedStates
+from scara_effmass.analysis.summary import mass_model_counts
 from scara_effmass.bags.batches import IntArray
 from scara_effmass.codes import Reason
 from scara_effmass.kernel.state import CODE
@@ -23,16 +24,24 @@ NO_JOINT_STATE = "no joint state"
 """Reason of the episodes in which no joint state arrived."""
 
 
+class Change(NamedTuple):
+    """Reason of a verdict with its code, body region and joint positions by name [rad, m], at its first joint state."""
+
+    reason: str = ""
+    body_region: str = ""
+    positions: Mapping[str, float] = MappingProxyType({})
+    reason_code: Reason = Reason.NONE
+
+
 @dataclass(frozen=True, slots=True)
 class TimeSeries:
     """Assessments at `time` (m,) [s] since `start_ns`; unknown values are NaN. Speeds [m/s], masses [kg].
 
-    Where the verdict changes, `reasons` holds its reason by index, and `places` its body region, the joint positions by
-    name, and the code of the reason. `mass_models` counts the mass models with the reasons for them.
+    `changes` are the changes of the verdict by index. `mass_models` counts the mass models with the reasons for them.
     """
 
     start_ns: int
-    reasons: dict[int, str]
+    changes: Mapping[int, Change]
     mass_models: Counter[str]
     time: FloatArray
     verdict: NDArray[np.int64]
@@ -43,31 +52,28 @@ class TimeSeries:
     lumped_mass: FloatArray
     full_mass: FloatArray
     iso_mass: FloatArray
-    places: dict[int, tuple[str, dict[str, float], Reason]] = field(default_factory=dict)
 
     def with_gaps(self, timeout: float) -> TimeSeries:
         """Return a copy with a row of NaN after each gap longer than `timeout` [s] begins, which breaks a line."""
         gaps = np.flatnonzero(np.diff(self.time) > timeout) + 1
-        columns = {name: np.insert(getattr(self, name), gaps, NAN) for name in _VALUES}
-        return TimeSeries(
-            start_ns=self.start_ns,
-            reasons={},
-            places={},
-            mass_models=self.mass_models,
+        values: dict[str, Any] = {name: np.insert(getattr(self, name), gaps, NAN) for name in _VALUES}
+        return replace(
+            self,
+            changes={},
             time=np.insert(self.time, gaps, self.time[gaps - 1] + timeout),
             verdict=np.insert(self.verdict, gaps, Verdict.UNKNOWN),
-            **columns,
+            **values,
         )
 
 
-_VALUES = tuple(field.name for field in fields(TimeSeries))[5:-1]
+_VALUES = tuple(field.name for field in fields(TimeSeries))[5:]
+_ROW = np.dtype([("stamp_ns", "i8"), ("verdict", "i8"), *((name, "f8") for name in _VALUES)])
 
 
 class Episode(NamedTuple):
     """An interval of one verdict, from `start` to `stop` [s] since the first joint state.
 
-    `min_margin` [m/s] is NaN where no margin is known; `reason` with its code, `body_region` and the joint
-    `positions` by name [rad, m] are those of the first joint state.
+    `min_margin` [m/s] is NaN where no margin is known; the other fields are those of the `Change` before it.
     """
 
     start: float
@@ -85,65 +91,48 @@ class TimeSeriesBuilder:
 
     def __init__(self) -> None:
         """Start empty."""
-        self._stamps_ns: list[IntArray] = []
-        self._verdicts: list[NDArray[np.int8]] = []
-        self._values: list[FloatArray] = []
+        self._rows = [np.empty(0, _ROW)]
         self._count = 0
-        self._reasons: dict[int, str] = {}
-        self._places: dict[int, tuple[str, dict[str, float], Reason]] = {}
+        self._changes: dict[int, Change] = {}
         self._mass_models: Counter[str] = Counter()
 
     def add(self, states: AssessedStates, point: int) -> None:
         """Add contact point number `point`, each assessment at its own stamp where that is valid, else the log time."""
         assessments = states.assessments
-        contact, labels = assessments.contacts[:, point], assessments.labels
-        verdict = contact["verdict"].astype(np.int8)
-        known, decided = contact["effective_mass"] > 0.0, verdict != Verdict.UNKNOWN
-        before = self._verdicts[-1][-1] if self._verdicts else -1
-        for row in np.flatnonzero(np.diff(verdict, prepend=np.int8(before))).tolist():
-            index = self._count + row
-            self._reasons[index] = assessments.reason(row, point)
-            region, code = (
-                labels["body_region"][int(contact["body_region"][row])],
-                Reason(int(contact["reason"][row, CODE])),
-            )
-            self._places[index] = region, states.positions(row), code
-        models, whys = contact["mass_model"], contact["mass_model_reason"].astype(np.int64)
-        for model, name in enumerate(labels["mass_model"]):
-            counts = np.bincount(whys[models == model])
-            for reason in np.flatnonzero(counts).tolist() if name else ():
-                self._mass_models[f"{name}: {labels['mass_model_reason'][reason]}"] += int(counts[reason])
+        contacts, labels = assessments.contacts[:, point], assessments.labels
+        rows = np.empty(len(states), _ROW)
+        for name in ("verdict", *_VALUES):
+            rows[name] = contacts[name]
+        known, decided = contacts["effective_mass"] > 0.0, rows["verdict"] != Verdict.UNKNOWN
+        rows["stamp_ns"] = np.where(known, assessments.states["stamp_ns"], states.log_time_ns)
+        for is_valid, names in (
+            (known, ("speed", "effective_mass")),
+            (decided, ("allowable_speed", "margin")),
+            (rows["iso_mass"] > 0.0, ("iso_mass",)),
+        ):
+            for name in names:
+                rows[name][~is_valid] = NAN
+        before = self._rows[-1]["verdict"][-1] if self._count else -1
+        for row in np.flatnonzero(np.diff(rows["verdict"], prepend=before)).tolist():
+            region, code = labels["body_region"][int(contacts["body_region"][row])], contacts["reason"][row, CODE]
+            change = assessments.reason(row, point), region, states.positions(row), Reason(int(code))
+            self._changes[self._count + row] = Change(*change)
+        self._mass_models += mass_model_counts(contacts, labels)
         self._count += len(states)
-        self._stamps_ns.append(np.where(known, assessments.states["stamp_ns"], states.log_time_ns))
-        self._verdicts.append(verdict)
-        columns = (
-            np.where(known, contact["speed"], NAN),
-            np.where(decided, contact["allowable_speed"], NAN),
-            np.where(decided, contact["margin"], NAN),
-            np.where(known, contact["effective_mass"], NAN),
-            contact["lumped_mass"],
-            contact["full_mass"],
-            np.where(contact["iso_mass"] > 0.0, contact["iso_mass"], NAN),
-        )
-        self._values.append(np.array(columns))
+        self._rows.append(rows)
 
     def build(self) -> TimeSeries:
         """Return the assessments so far, in order of time."""
-        stamps_ns = np.concatenate([*self._stamps_ns, np.empty(0, np.int64)])
-        order = np.argsort(stamps_ns, kind="stable")
-        stamps_ns = stamps_ns[order]
-        columns = np.concatenate([*self._values, np.empty((len(_VALUES), 0))], axis=1)[:, order]
-        start_ns = int(stamps_ns[0]) if len(stamps_ns) else 0
-        rank = np.empty(len(order), np.int64)
-        rank[order] = np.arange(len(order))
+        rows = np.concatenate(self._rows)
+        order = np.argsort(rows["stamp_ns"], kind="stable")
+        rows, rank = rows[order], np.argsort(order)
+        start_ns = int(rows["stamp_ns"][0]) if len(rows) else 0
         return TimeSeries(
             start_ns=start_ns,
-            reasons={int(rank[index]): reason for index, reason in self._reasons.items()},
-            places={int(rank[index]): place for index, place in self._places.items()},
+            changes={int(rank[index]): change for index, change in self._changes.items()},
             mass_models=self._mass_models,
-            time=(stamps_ns - start_ns) / 1e9,
-            verdict=np.concatenate([*self._verdicts, np.empty(0, np.int64)])[order],
-            **dict(zip(_VALUES, columns, strict=True)),
+            time=(rows["stamp_ns"] - start_ns) / 1e9,
+            **{name: rows[name].copy() for name in ("verdict", *_VALUES)},
         )
 
 
@@ -177,15 +166,14 @@ def intervals(series: TimeSeries, timeout: float) -> Iterator[Episode]:
         return
     silent = np.diff(time) > timeout
     starts = [0, *(np.flatnonzero(silent | (np.diff(verdict) != 0)) + 1).tolist()]
-    changes = sorted(series.reasons)
+    changes = sorted(series.changes)
     for start, stop in zip(starts, [*starts[1:], len(time)], strict=True):
         end = float(time[min(stop, len(time) - 1)])
         last = min(end, float(time[stop - 1]) + timeout)
         margins = series.margin[start:stop]
         min_margin = NAN if np.isnan(margins).all() else float(np.nanmin(margins))
         number = bisect_right(changes, start)
-        changed = changes[number - 1] if number else 0
-        reason, place = series.reasons.get(changed, ""), series.places.get(changed, ("", {}, Reason.NONE))
-        yield Episode(float(time[start]), last, Verdict(verdict[start]), min_margin, reason, *place)
+        change = series.changes[changes[number - 1]] if number else Change()
+        yield Episode(float(time[start]), last, Verdict(verdict[start]), min_margin, *change)
         if end > last:
             yield Episode(last, end, Verdict.UNKNOWN, NAN, NO_JOINT_STATE, reason_code=Reason.GAP)

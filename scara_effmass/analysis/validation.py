@@ -18,17 +18,20 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from scara_effmass.analysis.assessment import AssessedState, Time, assessed_rows, joint_state_topic
-from scara_effmass.analysis.recorded_run import (
+from scara_effmass.analysis.forces import (
+    ForceTrace,
     Measurement,
     file_measurements,
+    file_traces,
     measurement_topic,
     measurements,
-    run_infos,
 )
 from scara_effmass.bags.bag import Bag
+from scara_effmass.bags.bag import run_infos as stored_run_infos
 from scara_effmass.bags.files import open_bag
-from scara_effmass.errors import BagError
+from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.impacts.detector import Detector
+from scara_effmass.impacts.impact_matcher import check_run_info
 from scara_effmass.impacts.state_history import recording_offset
 from scara_effmass.impacts.validator import Result, Validator
 from scara_effmass.safety import Monitor
@@ -93,6 +96,13 @@ class ValidatedRecording:
     def files(self) -> tuple[Path, ...]:
         """The recording, and the file of the force if it is another one: the last is that of the force."""
         return (self.path, Path(self.force_topic)) if self.force_clock else (self.path,)
+
+    def force_traces(self, settings: ImportSettings, after_s: float) -> list[ForceTrace]:
+        """Return the force of each impact, up to `after_s` after its onset. Raises BagError."""
+        onsets = [impact.stamp_ns for impact in self.impacts]
+        if self.force_clock:
+            return file_traces(self.files[-1], settings, onsets, after_s, self.force_offset)
+        return file_traces(self.path, settings.model_copy(update={"topic": self.force_topic}), onsets, after_s)
 
     def count(self, value: ForceBlock | Impact) -> None:
         """Count a force block or an impact."""
@@ -278,3 +288,18 @@ def _set_runs(validator: Validator, settings: ValidationSettings, infos: Sequenc
     validator.runs.set(0, initial_mass, defaults.configuration)
     for info in infos:
         validator.runs.begin(info if mass is None else info._replace(obstacle_mass=mass), 0)
+
+
+def run_infos(bag: Bag) -> list[RunInfo]:
+    """Return the run information in `bag`; a missing stamp becomes the log time, or 0 in the first one.
+
+    Raises BagError for an invalid value.
+    """
+    infos: list[RunInfo] = []
+    for log_time_ns, info in stored_run_infos(bag):
+        try:
+            check_run_info(info)
+        except SettingsError as error:
+            raise BagError(f"{bag.path}: run information: {error}") from None
+        infos.append(info._replace(stamp_ns=info.stamp_ns or (log_time_ns if infos else 0)))
+    return infos

@@ -1,36 +1,50 @@
 # SPDX-License-Identifier: Apache-2.0
 """Report of a validation: a page, figures, and all results as JSON, written completely or not at all."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Iterator
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import matplotlib as mpl
+import matplotlib.ticker
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from scara_effmass import __version__
-from scara_effmass.analysis.force_traces import AFTER_S, force_traces, shown
-from scara_effmass.analysis.output import check_output_files
-from scara_effmass.analysis.pages import PageOptions, file_hashes, render, setting_rows
-from scara_effmass.analysis.plot_style import STYLE
-from scara_effmass.analysis.report import ReportFigure, figure_files, report_figure, write_report_files
-from scara_effmass.analysis.validation_figures import PLOTS
+from scara_effmass.analysis.forces import AFTER_S, shown
+from scara_effmass.analysis.report import (
+    ENGLISH_PAGE,
+    INK,
+    ISO_RED,
+    PAGE,
+    STYLE,
+    PageOptions,
+    ReportFigure,
+    figure_files,
+    file_hashes,
+    new_figure,
+    render,
+    report_figure,
+    setting_rows,
+    write_report_files,
+)
+from scara_effmass.analysis.validation import Validation, ValidationSettings
 from scara_effmass.impacts.agreement import region_force
-from scara_effmass.iso15066 import limits_for
+from scara_effmass.impacts.validator import ModelResult, Result
+from scara_effmass.input_files import read_table
+from scara_effmass.iso15066 import Limit, force_per_root_stiffness, limits_for
+from scara_effmass.model.robot import Robot
 from scara_effmass.values import ValidatedImpact, Verdict
 
-if TYPE_CHECKING:
-    from scara_effmass.analysis.validation import ValidatedRecording, Validation, ValidationSettings
-    from scara_effmass.impacts.validator import ModelResult, Result
-    from scara_effmass.iso15066 import Limit
-    from scara_effmass.model.robot import Robot
-
-PAGE, RECORD = "report.html", "report.json"
-ENGLISH_PAGE = PageOptions()
-FILES = (PAGE, RECORD, *figure_files(plot.name for plot in PLOTS))
+RECORD = "report.json"
+FIGURES = read_table(__file__, "validation_figures.yaml")
+"""Titles and captions of the figures by name, in their order."""
+FILES = (PAGE, RECORD, *figure_files(FIGURES))
 """Names of all files of a report."""
 UNITS = {
     "force": "N",
@@ -46,11 +60,14 @@ UNITS = {
 }
 LINEAR = 1.0
 """Exponent of a linear spring."""
-
-
-def check_report_folder(folder: Path, options: PageOptions = ENGLISH_PAGE, *, overwrite: bool) -> None:
-    """Raise OutputError if a file of the report cannot be written into `folder`."""
-    check_output_files(folder, [*FILES, *options.files()], overwrite=overwrite)
+NO_IMPACT = "no impact could be paired with the robot"
+MARKERS = "os^Dv<>pX*"
+"""Markers of the configurations; they repeat if there are more."""
+DARK, LIGHT = 0.0, 0.88
+"""Range of the colour map with enough contrast to white."""
+GREY = "#777777"
+EXPONENTS = {"0.5, linear spring": (0.5, "--", GREY), "0.6, Hertz": (0.6, ":", GREY)}
+ROOT = r"$v\sqrt{\mu}$ [m/s $\sqrt{\mathrm{kg}}$]"
 
 
 def write_report(
@@ -64,14 +81,15 @@ def write_report(
 ) -> dict[str, Any]:
     """Write `FILES` into `folder`; return the content of `RECORD`. Raises OutputError and BagError."""
     figures = []
-    for plot in PLOTS:
+    for (name, texts), draw in zip(
+        FIGURES.items(), (draw_forces, draw_masses, draw_differences, draw_exponent), strict=True
+    ):
         with mpl.rc_context(STYLE):
-            drawing = plot.draw(validation.result)
-            figures.append(report_figure(plot.name, plot.title, plot.caption, drawing, options.language))
+            drawing = draw(validation.result)
+            figures.append(report_figure(name, texts["title"], texts["caption"], drawing, options.language))
     results = record(validation, settings, robot)
     page = _page(validation, figures, settings, robot, options.language)
-    pdf_of = PAGE if options.pdf else None
-    write_report_files(folder, {PAGE: page, RECORD: results}, figures, overwrite=overwrite, pdf_of=pdf_of)
+    write_report_files(folder, {PAGE: page, RECORD: results}, figures, options, overwrite=overwrite)
     return results
 
 
@@ -179,26 +197,21 @@ def deviations(validation: Validation) -> list[tuple[str, int, float, float]]:
 
     A deviation is estimate / true value - 1, in a recording of a single impact that states the true values.
     """
-    by_quantity: dict[str, list[float]] = {}
+    by_quantity: dict[str, list[float]] = defaultdict(list)
     for recording in validation.recordings:
-        for quantity, deviation in _recording_deviations(recording):
-            by_quantity.setdefault(quantity, []).append(deviation)
+        if len(recording.impacts) != 1 or len(recording.infos) != 1:
+            continue
+        impact, info = recording.impacts[0], recording.infos[0]
+        if all(0.0 < value < math.inf for value in (info.true_speed, info.true_effective_mass, info.true_peak_force)):
+            by_quantity["speed at the onset"].append(impact.speed / info.true_speed - 1.0)
+            by_quantity["peak force"].append(impact.measured_force / info.true_peak_force - 1.0)
+            for prediction in impact.predictions:
+                deviation = prediction.effective_mass / info.true_effective_mass - 1.0
+                by_quantity[f"effective mass, {prediction.model}"].append(deviation)
     return [
         (quantity, len(values), sum(values) / len(values), max(values, key=abs))
         for quantity, values in by_quantity.items()
     ]
-
-
-def _recording_deviations(recording: ValidatedRecording) -> Iterator[tuple[str, float]]:
-    if len(recording.impacts) != 1 or len(recording.infos) != 1:
-        return
-    impact, info = recording.impacts[0], recording.infos[0]
-    if all(0.0 < value < math.inf for value in (info.true_speed, info.true_effective_mass, info.true_peak_force)):
-        yield "speed at the onset", impact.speed / info.true_speed - 1.0
-        yield "peak force", impact.measured_force / info.true_peak_force - 1.0
-        for prediction in impact.predictions:
-            deviation = prediction.effective_mass / info.true_effective_mass - 1.0
-            yield f"effective mass, {prediction.model}", deviation
 
 
 def stated_stiffness(validation: Validation) -> float | None:
@@ -215,9 +228,7 @@ def _page(
     result = validation.result
     models = [model.model for model in result.models]
     predictions = [{item.model: item for item in impact.predictions} for impact in result.impacts]
-    traces = [
-        trace for recording in validation.recordings for trace in force_traces(recording, settings.force, AFTER_S)
-    ]
+    traces = [trace for item in validation.recordings for trace in item.force_traces(settings.force, AFTER_S)]
     stamps = sorted(impact.stamp_ns for impact in result.impacts)
     losses = [loss for trace in traces if (loss := trace.sampling_loss) is not None]
     return render(
@@ -304,3 +315,202 @@ def _plain(value: Any, without: str = "") -> Any:  # noqa: ANN401 - any part of 
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     return value if value is None or isinstance(value, bool | int | str) else str(value)
+
+
+class Marks:
+    """Marker style of each impact of a series.
+
+    `configurations` are in the order of their mean effective mass, `obstacle_masses` [kg] ascending.
+    """
+
+    def __init__(self, impacts: Iterable[ValidatedImpact]) -> None:
+        masses: dict[str, list[float]] = {}
+        obstacle_masses = set()
+        for impact in impacts:
+            masses.setdefault(impact.configuration, []).append(impact.effective_mass)
+            obstacle_masses.add(impact.obstacle_mass)
+        self.configurations = sorted(masses, key=lambda name: (float(np.mean(masses[name])), name))
+        self.obstacle_masses = sorted(obstacle_masses)
+
+    def marker(self, configuration: str) -> str:
+        """Return the marker of a configuration."""
+        return MARKERS[self.configurations.index(configuration) % len(MARKERS)]
+
+    def scatter(self, axes: Axes, impacts: Iterable[ValidatedImpact], points: Iterable[tuple[float, float]]) -> None:
+        """Draw one point for each impact."""
+        for impact, (x, y) in zip(impacts, points, strict=True):
+            shade = color(self.obstacle_masses.index(impact.obstacle_mass), len(self.obstacle_masses))
+            axes.plot(x, y, self.marker(impact.configuration), color=shade, markersize=6.0, alpha=0.85, zorder=2)
+        axes.grid(alpha=0.3)
+
+    def legend(self, figure: Figure, *lines: Line2D) -> None:
+        """Draw the legend of the markers and `lines` beside the axes."""
+        count = len(self.obstacle_masses)
+        handles = [*lines, Line2D([], [], color="none", label="$m_H$ [kg]")]
+        handles += [
+            Line2D([], [], linestyle="none", marker="o", color=color(number, count), label=f"{mass:g}")
+            for number, mass in enumerate(self.obstacle_masses)
+        ]
+        handles.append(Line2D([], [], color="none", label="configuration"))
+        handles += [
+            Line2D([], [], linestyle="none", marker=self.marker(name), color=GREY, label=configuration_label(name))
+            for name in self.configurations
+        ]
+        figure.legend(handles=handles, loc="outside right upper")
+
+
+def color(number: int, count: int) -> tuple[float, float, float, float]:
+    """Return colour `number` of `count`."""
+    return mpl.colormaps["plasma"](DARK + (LIGHT - DARK) * number / max(count - 1, 1))
+
+
+def configuration_label(configuration: str) -> str:
+    """Return the label of a configuration, with `$` escaped for Matplotlib."""
+    return configuration.replace("$", r"\$") or "not named"
+
+
+def draw_forces(result: Result) -> Figure:
+    """Draw force over v sqrt(mu), one panel per model, with shared axes."""
+    models, marks = result.models, Marks(result.impacts)
+    figure = new_figure(3.7 * len(models) + 1.6, 4.9, f"{_origin(result)} force over $v\\sqrt{{\\mu}}$")
+    panels = figure.subplots(1, len(models), sharex=True, sharey=True, squeeze=False)[0]
+    panels[0].set_ylabel(f"{_origin(result).lower()} peak force [N]")
+    points = {model.model: _points(model.model, result) for model in models}
+    x_limit = 1.08 * max((x for model_points in points.values() for _, x in model_points), default=1.0)
+    for axes, model in zip(panels, models, strict=True):
+        data, overall = points[model.model], model.overall
+        selected = ", selected" if model.model == result.model else ""
+        axes.set(xlabel=ROOT, title=f"{model.model}{selected}")
+        if not data:
+            _annotate(axes, NO_IMPACT if not result.impacts else "the robot has no such mass")
+            continue
+        marks.scatter(axes, [impact for impact, _ in data], [(x, impact.measured_force) for impact, x in data])
+        axes.plot((0.0, x_limit), (0.0, math.sqrt(overall.stiffness) * x_limit), color=ISO_RED, linewidth=1.4, zorder=1)
+        r = "undefined" if overall.correlation_reason else f"{overall.correlation:.5f}"
+        lines = (f"r = {r}", f"k = {overall.stiffness / 1e3:.4g} N/mm", f"RMSE = {overall.relative_rmse:.2%}")
+        axes.text(0.05, 0.95, "\n".join(lines), transform=axes.transAxes, va="top")
+    panels[0].set(xlim=(0.0, x_limit))
+    panels[0].set_ylim(bottom=0.0)
+    marks.legend(figure, Line2D([], [], color=ISO_RED, linewidth=1.4, label=r"$F = v\sqrt{\mu k}$"))
+    return figure
+
+
+def draw_differences(result: Result) -> Figure:
+    """Draw the Bland-Altman plot of the selected model."""
+    origin = _origin(result).lower()
+    title = f"Predicted minus {origin} force, {result.model} model"
+    figure, axes, marks = _single(title, f"mean of predicted and {origin} force [N]", "difference [N]", result)
+    if not result.impacts:
+        return figure
+    overall = _selected(result).overall
+    points = [
+        ((impact.predicted_force + impact.measured_force) / 2.0, impact.predicted_force - impact.measured_force)
+        for impact in result.impacts
+    ]
+    marks.scatter(axes, result.impacts, points)
+    axes.axhline(0.0, color=INK, linewidth=0.8)
+    lines = [(overall.bias, "-", f"bias {overall.bias:+.2f} N")]
+    if overall.limits:
+        low, high = overall.limits
+        lines += [(high, "--", f"upper limit {high:+.2f} N"), (low, "--", f"lower limit {low:+.2f} N")]
+    handles = [axes.axhline(y, color=ISO_RED, linestyle=style, label=label) for y, style, label in lines]
+    below = Line2D([], [], color="none", label="below 0: not conservative")
+    marks.legend(figure, *sorted(handles, key=lambda line: -float(np.asarray(line.get_ydata())[0])), below)
+    return figure
+
+
+def draw_exponent(result: Result) -> Figure:
+    """Draw force over J v on logarithmic axes; J is the impulse up to the peak."""
+    labels = r"$J\,v$ [J], twice the energy", f"{_origin(result).lower()} peak force [N]"
+    figure, axes, marks = _single("Exponent of the contact law", *labels, result)
+    impacts = [impact for impact in result.impacts if impact.measured_reduced_mass > 0.0]
+    if not impacts:
+        return figure
+    fit = _selected(result).fit
+    energy = np.array([impact.measured_reduced_mass * impact.speed**2 for impact in impacts])
+    force = np.array([impact.measured_force / impact.force_share for impact in impacts])
+    marks.scatter(axes, impacts, list(zip(energy.tolist(), force.tolist(), strict=True)))
+    ends = np.array([0.9 * energy.min(), 1.1 * energy.max()])
+    middle_energy, middle_force = float(np.exp(np.log(energy).mean())), float(np.exp(np.log(force).mean()))
+    title, lines = "exponent undefined: the energy varies too little", dict(EXPONENTS)
+    if not math.isnan(fit.exponent):
+        low, high = fit.exponent_interval
+        title = f"exponent {fit.exponent:.3f} (95 %: {low:.3f} to {high:.3f})"
+        lines = {"fitted": (fit.exponent, "-", ISO_RED)} | lines
+    handles = []
+    for label, (exponent, style, shade) in lines.items():
+        forces = middle_force * (ends / middle_energy) ** exponent
+        handles += axes.plot(ends, forces, color=shade, linestyle=style, label=label)
+    axes.set(title=title, xscale="log", yscale="log")
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(mpl.ticker.LogLocator(subs=(1.0, 2.0, 3.0, 5.0)))
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter(mpl.ticker.NullFormatter())
+    marks.legend(figure, *handles)
+    return figure
+
+
+def draw_masses(result: Result) -> Figure:
+    """Draw mean measured and predicted force over obstacle mass, by configuration."""
+    title = f"{_origin(result)} force over the mass of the obstacle"
+    figure, axes, marks = _single(title, "$m_H$ [kg]", "peak force [N]", result)
+    if not result.impacts:
+        return figure
+    handles = []
+    for number, name in enumerate(marks.configurations):
+        impacts = [impact for impact in result.impacts if impact.configuration == name]
+        masses = sorted({impact.obstacle_mass for impact in impacts})
+        marker, shade = marks.marker(name), color(number, len(marks.configurations))
+        measured, predicted = (
+            [_mean(getattr(impact, field) for impact in impacts if impact.obstacle_mass == mass) for mass in masses]
+            for field in ("measured_force", "predicted_force")
+        )
+        points = [(impact.obstacle_mass, impact.measured_force) for impact in impacts]
+        axes.plot(*zip(*points, strict=True), marker, color=shade, alpha=0.35, markersize=4.0)
+        label = f"{configuration_label(name)}, {_mean(impact.effective_mass for impact in impacts):.2f} kg"
+        handles += axes.plot(masses, measured, marker=marker, color=shade, linewidth=1.8, label=label)
+        axes.plot(masses, predicted, color=INK, linestyle=":", linewidth=1.4, zorder=3)
+    axes.set_xlim(left=0.0)
+    axes.set_ylim(bottom=0.0)
+    axes.grid(alpha=0.3)
+    handles.append(Line2D([], [], color=INK, linestyle=":", label=f"predicted, {result.model}"))
+    figure.legend(handles=handles, title="configuration, $m_n$", loc="outside right upper", alignment="left")
+    return figure
+
+
+def _points(model: str, result: Result) -> list[tuple[ValidatedImpact, float]]:
+    """Return the impacts for which `model` has a mass, each with v sqrt(mu)."""
+    return [
+        (impact, force_per_root_stiffness(impact.speed, prediction.reduced_mass) * impact.force_share)
+        for impact in result.impacts
+        for prediction in impact.predictions
+        if prediction.model == model
+    ]
+
+
+def _selected(result: Result) -> ModelResult:
+    return next(model for model in result.models if model.model == result.model)
+
+
+def _origin(result: Result) -> str:
+    if not result.impacts or not result.simulated:
+        return "Measured"
+    return "Simulated" if result.simulated == len(result.impacts) else "In part simulated"
+
+
+def _mean(values: Iterable[float]) -> float:
+    return float(np.mean(list(values)))
+
+
+def _single(title: str, xlabel: str, ylabel: str, result: Result) -> tuple[Figure, Axes, Marks]:
+    """Return a figure with one pair of axes, and the marks of the impacts; without impacts a text says so."""
+    figure = new_figure(10.5, 4.9, title)
+    axes = figure.subplots()
+    axes.set(xlabel=xlabel, ylabel=ylabel)
+    if not _points(result.model, result):
+        _annotate(axes, NO_IMPACT)
+    return figure, axes, Marks(result.impacts)
+
+
+def _annotate(axes: Axes, text: str) -> None:
+    axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center")

@@ -19,7 +19,7 @@ import numpy as np
 import pyarrow as pa
 from matplotlib.figure import Figure
 
-from scara_effmass.analysis.plot_style import ISO_RED, STYLE, new_figure
+from scara_effmass.analysis.report import ISO_RED, STYLE, new_figure
 from scara_effmass.errors import RobotError
 from scara_effmass.model.poses import ManyPoses
 from scara_effmass.model.robot import Robot

@@ -13,8 +13,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 from scara_effmass.analysis.assessment import Time, input_lines
-from scara_effmass.analysis.bag_assessment import BagResult, BagTask, assess_bag
-from scara_effmass.analysis.dataset import assess_part, cell_of
+from scara_effmass.analysis.dataset import BagResult, BagTask, assess_bag, assess_part, cell_of
 from scara_effmass.analysis.summary import Summary
 from scara_effmass.analysis.tables import open_writer, provenance
 from scara_effmass.bags.files import bag_bytes, find_bags
@@ -73,7 +72,7 @@ def assess(
         raise SettingsError(f"--report, --properties: must be left out for a dataset, {args.output}")
     report = None
     if args.report:
-        from scara_effmass.analysis.pages import PageOptions  # noqa: PLC0415 - loads jinja2
+        from scara_effmass.analysis.report import PageOptions  # noqa: PLC0415 - loads jinja2
         from scara_effmass.analysis.run_report import RunReport  # noqa: PLC0415 - loads matplotlib
 
         figures, page = len(paths) * len(dynamics.contact_points), PageOptions(args.language, args.pdf)

@@ -16,12 +16,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from scara_effmass.analysis.assessment import generated_description, joint_state_topic, payload_topics
+from scara_effmass.analysis.forces import read_force
 from scara_effmass.analysis.output import check_output_files
-from scara_effmass.analysis.pages import PageOptions
-from scara_effmass.analysis.recorded_run import read_force
+from scara_effmass.analysis.report import PAGE, PageOptions
 from scara_effmass.analysis.run_report import RunReport
 from scara_effmass.analysis.validation import ValidationSettings, validate
-from scara_effmass.analysis.validation_report import PAGE, check_report_folder, summary_lines, write_report
+from scara_effmass.analysis.validation_report import FILES, summary_lines, write_report
 from scara_effmass.bags.bag import Bag
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter, check_output
@@ -85,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
 def _run_sim(args: argparse.Namespace, dynamics: RobotDynamics, settings: MonitorSettings) -> int:
     """Run the simulated cell; return 0 when the series of impacts is accepted, else 1. Raises EffmassError."""
     page = PageOptions(args.language, args.pdf)
-    check_report_folder(args.out, page, overwrite=args.force)
+    check_output_files(args.out, [*FILES, *page.files()], overwrite=args.force)
     dashboard, address = processes.dashboard_command(args)
     if not args.json:
         print_lines((*INTRODUCTION, ("dashboard", address)))

@@ -55,6 +55,7 @@ def node_arguments(params: Path | None, parameters: Mapping[str, Any], ros_argum
 def write_report(result: Result, settings: NodeSettings, folder: Path) -> Path:
     """Write the report of a live series; return the path of its page. Raises OutputError, RobotError."""
     from scara_effmass.analysis import validation_report  # noqa: PLC0415 - draws, only when it is asked for
+    from scara_effmass.analysis.report import PAGE  # noqa: PLC0415
     from scara_effmass.analysis.validation import Validation, ValidationSettings  # noqa: PLC0415
     from scara_effmass.model.load import load_robot  # noqa: PLC0415
 
@@ -65,4 +66,4 @@ def write_report(result: Result, settings: NodeSettings, folder: Path) -> Path:
     report_settings = ValidationSettings(monitor=monitor, validator=validator, detection=settings.detection)
     robot = load_robot(monitor.robot_path, monitor)
     validation_report.write_report(Validation(result, ()), report_settings, robot, folder, overwrite=False)
-    return folder / validation_report.PAGE
+    return folder / PAGE

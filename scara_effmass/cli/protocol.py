@@ -9,13 +9,18 @@ from pathlib import Path
 from typing import Any
 
 from scara_effmass.analysis.assessment import assessed_rows, joint_state_topic
-from scara_effmass.analysis.output import atomic_file, check_output_path
-from scara_effmass.analysis.pages import PageOptions
-from scara_effmass.analysis.protocol import Protocol, Repetition, protocol_yaml, read_protocol
-from scara_effmass.analysis.protocol_evaluation import record
-from scara_effmass.analysis.protocol_fill import AFTER_S, device_of, evaluated, repetitions
-from scara_effmass.analysis.protocol_plan import Plan
-from scara_effmass.analysis.protocol_report import PAGE, check_report_folder, write_report
+from scara_effmass.analysis.output import atomic_file, check_output_files, check_output_path
+from scara_effmass.analysis.protocol import Plan, Protocol, Repetition, protocol_yaml, read_protocol
+from scara_effmass.analysis.protocol_evaluation import (
+    MAX_CONTACT_S,
+    RECORD,
+    device_of,
+    evaluated,
+    record,
+    repetitions,
+    write_report,
+)
+from scara_effmass.analysis.report import PAGE, PageOptions
 from scara_effmass.analysis.workspace_map import AS_SAMPLED, Plane, sample_workspace
 from scara_effmass.bags.files import open_bag
 from scara_effmass.cli.console import print_json, print_result, progress_bar, tracked
@@ -109,7 +114,7 @@ def _fill(args: argparse.Namespace) -> int:
 
 def _report(args: argparse.Namespace) -> int:
     options = PageOptions(args.language, args.pdf)
-    check_report_folder(args.output, options, overwrite=args.force)
+    check_output_files(args.output, [PAGE, RECORD, *options.files()], overwrite=args.force)
     protocol = evaluated(read_protocol(args.protocol), args.protocol.parent)
     write_report(protocol, args.protocol, args.output, options, overwrite=args.force)
     return _printed(protocol, {"output": str(args.output)}, args.output / PAGE, as_json=args.json)
@@ -143,8 +148,8 @@ def _filled(args: argparse.Namespace, protocol: Protocol) -> Protocol:
     args.contact_area_m2 = test.point.contact_area_m2
     settings = validation_settings(args)
     if test.point.contact is ContactType.QUASI_STATIC:  # a held contact is to be one impact
-        validator = override(settings.validator, {"impact_delay": 3.0 * AFTER_S, "history": 6.0 * AFTER_S})
-        detection = override(settings.detection, {"longest": AFTER_S})
+        validator = override(settings.validator, {"impact_delay": 3.0 * MAX_CONTACT_S, "history": 6.0 * MAX_CONTACT_S})
+        detection = override(settings.detection, {"longest": MAX_CONTACT_S})
         settings = replace(settings, validator=validator, detection=detection)
     dynamics = load_dynamics(settings.monitor)
     if test.point.contact_point in dynamics.contact_points:

@@ -7,7 +7,8 @@ from functools import partial
 from pathlib import Path
 
 from scara_effmass.analysis.assessment import Time, input_lines
-from scara_effmass.analysis.pages import PageOptions
+from scara_effmass.analysis.output import check_output_files
+from scara_effmass.analysis.report import PAGE, PageOptions
 from scara_effmass.analysis.validation import (
     ValidatedRecording,
     Validation,
@@ -15,7 +16,7 @@ from scara_effmass.analysis.validation import (
     joined,
     validate_recording,
 )
-from scara_effmass.analysis.validation_report import PAGE, check_report_folder, summary_lines, write_report
+from scara_effmass.analysis.validation_report import FILES, summary_lines, write_report
 from scara_effmass.bags.files import bag_bytes, find_bags
 from scara_effmass.cli.console import print_result
 from scara_effmass.cli.options import load_dynamics, override, selected
@@ -34,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
     settings = validation_settings(args)
     dynamics = load_dynamics(settings.monitor)
     page = PageOptions(args.language, args.pdf)
-    check_report_folder(args.output, page, overwrite=args.force)
+    check_output_files(args.output, [*FILES, *page.files()], overwrite=args.force)
     validation = validated(args, settings)
     result = write_report(validation, settings, dynamics.robot, args.output, page, overwrite=args.force)
     notes = list(input_lines(settings.monitor, settings.time))

@@ -22,9 +22,7 @@ from pyarrow import compute, csv
 from scipy.stats import binomtest
 
 from scara_effmass import __version__
-from scara_effmass.analysis.pages import render
-from scara_effmass.analysis.plot_style import CYCLE, INK, STYLE, new_figure
-from scara_effmass.analysis.report import report_figure, write_report_files
+from scara_effmass.analysis.report import CYCLE, INK, STYLE, new_figure, render, report_figure, write_report_files
 from scara_effmass.errors import OutputError
 from scara_effmass.iso15066 import Limit, limits_for
 from scara_effmass.model.lumping import is_scara

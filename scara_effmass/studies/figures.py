@@ -20,9 +20,29 @@ from matplotlib.patheffects import Stroke, withStroke
 
 from scara_effmass import __version__
 from scara_effmass.analysis.output import check_output_files
-from scara_effmass.analysis.pages import render
-from scara_effmass.analysis.plot_style import CYCLE, INK, ISO_RED, MARKERS, STYLE, new_figure
-from scara_effmass.analysis.report import figure_files, report_figure, write_report_files
+from scara_effmass.analysis.report import (
+    CYCLE,
+    INK,
+    ISO_RED,
+    MARKERS,
+    STYLE,
+    figure_files,
+    new_figure,
+    render,
+    report_figure,
+    write_report_files,
+)
+    CYCLE,
+    INK,
+    ISO_RED,
+    MARKERS,
+    STYLE,
+    figure_files,
+    new_figure,
+    render,
+    report_figure,
+    write_report_files,
+)
 from scara_effmass.input_files import read_table
 from scara_effmass.iso15066 import reduced_mass
 from scara_effmass.sim.motion import ElbowConfig

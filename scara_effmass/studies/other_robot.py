@@ -10,9 +10,16 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from scara_effmass.analysis.output import check_output_files
-from scara_effmass.analysis.pages import render
-from scara_effmass.analysis.plot_style import CYCLE, ISO_RED, STYLE, new_figure
-from scara_effmass.analysis.report import figure_files, report_figure, write_report_files
+from scara_effmass.analysis.report import (
+    CYCLE,
+    ISO_RED,
+    STYLE,
+    figure_files,
+    new_figure,
+    render,
+    report_figure,
+    write_report_files,
+)
 from scara_effmass.analysis.tables import provenance
 from scara_effmass.analysis.workspace_map import Cells, Plane, sample_workspace
 from scara_effmass.errors import RobotError

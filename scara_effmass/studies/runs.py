@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scara_effmass.analysis.assessment import joint_state_topic
-from scara_effmass.analysis.recorded_run import detected_impacts, read_force, run_infos
+from scara_effmass.analysis.forces import detected_impacts, read_force
+from scara_effmass.analysis.validation import run_infos
 from scara_effmass.bags.bag import Bag
 from scara_effmass.bags.files import find_bags, open_bag
 from scara_effmass.errors import BagError

@@ -21,10 +21,11 @@ from scara_effmass.analysis.assessment import (
     AssessedStates,
     Time,
     assess_joint_states,
+    cross_checked,
+    first_difference,
     joint_state_topic,
     payload_topics,
 )
-from scara_effmass.analysis.cross_check import cross_checked, first_difference
 from scara_effmass.analysis.tables import open_writer
 from scara_effmass.bags.bag import Bag
 from scara_effmass.bags.files import find_bags, open_bag
@@ -134,7 +135,7 @@ def test_every_joint_state_is_assessed_as_by_a_monitor(
 
 def test_verdicts_and_refusals_of_all_kinds_are_compared(tmp_path: Path) -> None:
     states = compare(write(tmp_path / "bag.mcap", messages(SCARA, 2000, 2, [("jump", 900), ("nan", 1500)])), SCARA)
-    assert set(np.concatenate([batch.verdicts[:, 0] for batch in states]).tolist()) == {*Verdict}
+    assert set(np.concatenate([batch.assessments.contacts["verdict"][:, 0] for batch in states]).tolist()) == {*Verdict}
     admitted = [batch.assessments.states["is_admitted"] for batch in states]
     assert any(rows.any() and not rows.all() for rows in admitted)
 

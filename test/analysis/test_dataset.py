@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from scara_effmass.analysis.bag_assessment import BagResult, BagTask
-from scara_effmass.analysis.dataset import RECORDS, assess_part
+from scara_effmass.analysis.dataset import RECORDS, BagResult, BagTask, assess_part
 from scara_effmass.errors import OutputError
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import MonitorSettings

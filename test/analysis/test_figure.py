@@ -8,9 +8,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
-from scara_effmass.analysis.figure import draw_run
-from scara_effmass.analysis.recorded_run import RecordedForce
+from scara_effmass.analysis.forces import RecordedForce
 from scara_effmass.analysis.report import report_figure
+from scara_effmass.analysis.run_report import draw_run
 from scara_effmass.analysis.time_series import TimeSeries, TimeSeriesBuilder
 from scara_effmass.safety import unknown_contact
 from scara_effmass.values import Impact, Verdict
@@ -26,7 +26,7 @@ def run(seconds: float = 10.0, *, max_mass: float = 3.0, full: bool = True, gap:
     speed[len(t) // 3], mass[len(t) // 3] = 2.0, max_mass
     return TimeSeries(
         start_ns=0,
-        reasons={},
+        changes={},
         mass_models=Counter(),
         time=t,
         verdict=np.where(speed > 1.0, Verdict.VIOLATION, Verdict.OK).astype(np.int64),

@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from scara_effmass.analysis.force_traces import ForceTrace, file_traces, shown
-from scara_effmass.analysis.recorded_run import read_force
+from scara_effmass.analysis.forces import ForceTrace, file_traces, read_force, shown
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.settings import ImportSettings

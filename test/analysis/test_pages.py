@@ -14,7 +14,10 @@ from jinja2 import nodes
 from jinja2.ext import extract_from_ast
 
 from scara_effmass.analysis.output import check_output_files
-from scara_effmass.analysis.pages import (
+from scara_effmass.analysis.protocol import Protocol, protocol_yaml
+from scara_effmass.analysis.protocol_evaluation import evaluated
+from scara_effmass.analysis.protocol_evaluation import write_report as write_protocol
+from scara_effmass.analysis.report import (
     TEMPLATES,
     PageOptions,
     catalogue,
@@ -25,9 +28,6 @@ from scara_effmass.analysis.pages import (
     print_pdf,
     translated,
 )
-from scara_effmass.analysis.protocol import Protocol, protocol_yaml
-from scara_effmass.analysis.protocol_fill import evaluated
-from scara_effmass.analysis.protocol_report import write_report as write_protocol
 from scara_effmass.analysis.summary import iso_time
 from scara_effmass.analysis.validation import Validation, ValidationSettings
 from scara_effmass.analysis.validation_report import write_report

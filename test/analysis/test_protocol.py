@@ -15,10 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel
 
-from scara_effmass.analysis.protocol import Evaluation, Protocol, missing, protocol_yaml, read_protocol
-from scara_effmass.analysis.protocol_evaluation import evaluate, overall
-from scara_effmass.analysis.protocol_fill import evaluated, repetitions
-from scara_effmass.analysis.protocol_plan import Plan
+from scara_effmass.analysis.protocol import Evaluation, Plan, Protocol, missing, protocol_yaml, read_protocol
+from scara_effmass.analysis.protocol_evaluation import evaluate, evaluated, overall, repetitions
 from scara_effmass.analysis.validation import ValidationSettings, validate
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.reference import RobotDynamics

@@ -47,7 +47,7 @@ def test_assessments_are_in_order_of_their_stamps() -> None:
     assert kept.speed.tolist() == [0.2, 0.5]
     assert kept.iso_mass.tolist() == [2.77, 2.77]
     assert np.isnan(kept.full_mass).all()
-    assert kept.reasons == {1: "late", 0: "early"}
+    assert {index: change.reason for index, change in kept.changes.items()} == {1: "late", 0: "early"}
 
 
 def test_unknown_values_are_nan() -> None:

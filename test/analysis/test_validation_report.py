@@ -10,8 +10,9 @@ from typing import Any, Protocol
 import pytest
 from matplotlib.image import imread
 
+from scara_effmass.analysis.output import check_output_files
 from scara_effmass.analysis.validation import Validation, ValidationSettings, validate
-from scara_effmass.analysis.validation_report import FILES, check_report_folder, record, write_report
+from scara_effmass.analysis.validation_report import FILES, record, write_report
 from scara_effmass.errors import OutputError
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import ValidatorSettings
@@ -203,10 +204,10 @@ def test_nothing_is_overwritten_and_nothing_half_written(
     (folder / "exponent.svg").write_text("mine")
     refused = r"exponent\.svg: already exists; use --force to replace it"
     with pytest.raises(OutputError, match=refused):
-        check_report_folder(folder, overwrite=False)
+        check_output_files(folder, FILES, overwrite=False)
     with pytest.raises(OutputError, match=refused):
         write_report(validation, SETTINGS, dynamics.robot, folder, overwrite=False)
-    check_report_folder(folder, overwrite=True)
+    check_output_files(folder, FILES, overwrite=True)
 
     def fail(*_: object, **_options: object) -> str:
         raise OutputError("no room")
@@ -221,4 +222,4 @@ def test_nothing_is_overwritten_and_nothing_half_written(
 def test_the_folder_must_not_be_a_file(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(OutputError, match="file"):
-        check_report_folder(tmp_path / "file", overwrite=True)
+        check_output_files(tmp_path / "file", FILES, overwrite=True)

@@ -20,8 +20,8 @@ from pyarrow import parquet
 from rclpy.serialization import serialize_message
 
 from scara_effmass import __version__
-from scara_effmass.analysis import bag_assessment
-from scara_effmass.analysis.cross_check import cross_checked
+from scara_effmass.analysis import dataset
+from scara_effmass.analysis.assessment import cross_checked
 from scara_effmass.analysis.properties import PROPERTIES
 from scara_effmass.analysis.tables import SCHEMA
 from scara_effmass.bags.bag import run_infos
@@ -116,7 +116,7 @@ def test_cross_check_compares_every_setting_with_the_reference(
 def test_difference_found_by_the_cross_check_leaves_no_file(
     swing_bag: Path, cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(bag_assessment, "cross_checked", lambda name, own, _: cross_checked(name, own, iter(())))
+    monkeypatch.setattr(dataset, "cross_checked", lambda name, own, _: cross_checked(name, own, iter(())))
     done = cli("assess", swing_bag, "-o", tmp_path / "swing.parquet", "--cross-check")
     assert (done.returncode, done.stdout) == (1, "")
     assert "cross-check: the number of joint states differs" in done.stderr

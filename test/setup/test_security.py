@@ -20,7 +20,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scara_effmass.analysis.pages import environment
+from scara_effmass.analysis.report import environment
 from test.nodes.conftest import MONITOR_NODE
 
 ROOT = Path(__file__).parents[2]

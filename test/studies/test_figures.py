@@ -17,7 +17,7 @@ from matplotlib.colors import to_hex
 from matplotlib.contour import QuadContourSet
 from matplotlib.figure import Figure
 
-from scara_effmass.analysis.plot_style import ISO_RED, STYLE
+from scara_effmass.analysis.report import ISO_RED, STYLE
 from scara_effmass.errors import OutputError
 from scara_effmass.iso15066 import reduced_mass
 from scara_effmass.sim.motion import ElbowConfig, inverse_kinematics
