@@ -32,17 +32,6 @@ from scara_effmass.analysis.report import (
     report_figure,
     write_report_files,
 )
-    CYCLE,
-    INK,
-    ISO_RED,
-    MARKERS,
-    STYLE,
-    figure_files,
-    new_figure,
-    render,
-    report_figure,
-    write_report_files,
-)
 from scara_effmass.input_files import read_table
 from scara_effmass.iso15066 import reduced_mass
 from scara_effmass.sim.motion import ElbowConfig
