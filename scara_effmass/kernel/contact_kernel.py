@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Sequence
 from typing import Any
 
@@ -33,6 +34,16 @@ def too_large(robot: Robot) -> str:
     if robot.model.nv > MAX_JOINTS:
         return f"the compiled kernel is for at most {MAX_JOINTS} joints, the robot has {robot.model.nv}"
     return ""
+
+
+class _Scratch(threading.local):
+    """The bytes of one Work for each thread."""
+
+    def __init__(self) -> None:
+        self.work = np.empty(WORK.itemsize, np.uint8)
+
+
+_SCRATCH = _Scratch()
 
 
 class ContactKernel:
@@ -117,7 +128,7 @@ class ContactKernel:
 
     def compute(self, states: ByteArray, motions: FloatArray, numbers: FloatArray) -> None:
         """Write the contacts at the admitted ones of N joint states, as `assess_states`."""
-        assess_states(states, motions, *self._arrays, numbers, np.empty(WORK.itemsize, np.uint8))
+        assess_states(states, motions, *self._arrays, numbers, _SCRATCH.work)
 
 
 def _case(case: ContactCase, region: int) -> Case:

@@ -103,20 +103,21 @@ class JointStateAdapter:
         return q if np.isfinite(q).all() else "a position is not finite"
 
     def read(
-        self, layout: Layout, position: FloatArray, velocity: FloatArray, motions: FloatArray
+        self, layout: Layout, position: FloatArray, velocity: FloatArray, q: FloatArray, qd: FloatArray
     ) -> tuple[Reason, tuple[float, float]]:
-        """Write q and qd of N joint states in `motions` (N, 4, n); return what is wrong with their lengths.
+        """Write `q` and `qd` (N, n) of N joint states; return what is wrong with their lengths.
 
-        `layout` is that of their names, without a reason; `position` and `velocity` are (N, k), as received.
+        `layout` is that of their names, without a reason; `position` and `velocity` are (N, k), for one also (k,), as
+        received.
         """
-        count, positions, velocities = len(layout.names), position.shape[1], velocity.shape[1]
+        count, positions, velocities = len(layout.names), position.shape[-1], velocity.shape[-1]
         if positions != count:
             return Reason.POSITION_COUNT, (float(positions), float(count))
         if velocities not in {0, count}:
             return Reason.VELOCITY_COUNT, (float(velocities), float(count))
-        motions[:, 0] = position if layout.is_ordered else position[:, layout.order]
+        q[:] = position if layout.is_ordered else position[..., layout.order]
         if velocities:
-            motions[:, 1] = velocity if layout.is_ordered else velocity[:, layout.order]
+            qd[:] = velocity if layout.is_ordered else velocity[..., layout.order]
         elif not self._from_positions:
             return Reason.NO_VELOCITY, (0.0, 0.0)
         return NONE, (0.0, 0.0)

@@ -56,6 +56,7 @@ HEAD, REASON = Struct("3q"), Struct(f"{REASON_SIZE}d")
 """Layout of the first three fields of a State, and of its reason."""
 NO_VALUES = (0.0,) * (REASON_SIZE - DETAIL - 1)
 REASON_AT: int = (STATE.fields or {"reason": (STATE, 0)})["reason"][1]
+REASON_BYTES, NO_REASON = slice(REASON_AT, REASON_AT + REASON.size), bytes(REASON.size)
 
 
 class Cause(NamedTuple):
@@ -71,13 +72,15 @@ class Pending(NamedTuple):
     """N joint states between two steps of the assessment.
 
     `records` (N,) are `State`s and `states` their bytes; `motions` (N, 4, n) are q, qd, tolerances of qd, and the
-    change of a filtered qd within its delay; `numbers` (N, P, fields) are those of the contacts, and `unknown`
-    (fields,) those of a contact without numbers.
+    change of a filtered qd within its delay, the first two also as `q` and `qd`; `numbers` (N, P, fields) are those of
+    the contacts, and `unknown` (fields,) those of a contact without numbers.
     """
 
     records: Records
     states: NDArray[np.uint8]
     motions: FloatArray
+    q: FloatArray
+    qd: FloatArray
     numbers: FloatArray
     kernel: ContactKernel | ReferenceChannel
     unknown: FloatArray
@@ -194,7 +197,6 @@ class Monitor:
         self._normal = f"{settings.contact_normal} {settings.contact_normal_frame}".strip()
         self._points = self.dynamics.contact_points
         self._single = self._new_pending(1)
-        self._single_q, self._single_qd = self._single.motions[0, :2]
 
     @property
     def core(self) -> str:
@@ -338,9 +340,12 @@ class Monitor:
         pending = self._single
         number = NO_SEQUENCE if sequence_number is None else sequence_number
         HEAD.pack_into(pending.states.data, 0, state.stamp_ns, now_ns, number)
-        detail = self._detail(layout.detail)
-        REASON.pack_into(pending.states.data, REASON_AT, layout.reason, layout.joint, detail, *NO_VALUES)
-        self._read(pending, layout, state.position[None], state.velocity[None])
+        if layout.reason is Reason.NONE:
+            pending.states.data[REASON_BYTES] = NO_REASON
+        else:
+            detail = self._detail(layout.detail)
+            REASON.pack_into(pending.states.data, REASON_BYTES.start, layout.reason, layout.joint, detail, *NO_VALUES)
+        self._read(pending, layout, state.position, state.velocity)
         self.compute(pending)
         self._until_check -= 1
         if self._until_check <= 0:
@@ -442,7 +447,8 @@ class Monitor:
         points, joints = len(self.dynamics.contact_points), len(self._joints)
         numbers = np.empty((count, points, CONTACT.itemsize // 8))
         motions = np.zeros((count, 4, joints))
-        return Pending(records, records.view(np.uint8), motions, numbers, self._kernel, self._unknown, self._texts)
+        states, q, qd = records.view(np.uint8), motions[:, 0], motions[:, 1]
+        return Pending(records, states, motions, q, qd, numbers, self._kernel, self._unknown, self._texts)
 
     def _layout(self, names: tuple[str, ...], count: int) -> Layout | None:
         """Return the layout of joint states with these names; None, counted, for those of another device."""
@@ -458,7 +464,7 @@ class Monitor:
         if layout.reason is not Reason.NONE:
             pending.records["reason"][:, VALUES] = layout.value
         else:
-            reason, values = self._adapter.read(layout, position, velocity, pending.motions)
+            reason, values = self._adapter.read(layout, position, velocity, pending.q, pending.qd)
             if reason is not Reason.NONE:
                 pending.records["reason"][:, [CODE, VALUES, VALUES + 1]] = reason, *values
             elif (filtered := self._adapter.filter(layout, pending.records["stamp_ns"], pending.motions)) is not None:
