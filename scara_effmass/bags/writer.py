@@ -3,7 +3,8 @@
 
 import fcntl
 import os
-import tempfile
+import shutil
+import weakref
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack, suppress
@@ -11,6 +12,7 @@ from dataclasses import dataclass, replace
 from io import BytesIO
 from itertools import zip_longest
 from pathlib import Path
+from secrets import token_hex
 from typing import IO, Any, final
 
 import yaml
@@ -344,15 +346,13 @@ class BagWriter:
         check_output(path, overwrite=overwrite)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            # If a signal arrives before the `with` begins, the folder is removed together with this object.
-            self._temporary = tempfile.TemporaryDirectory(
-                prefix=f".{path.name}-", dir=path.parent, ignore_cleanup_errors=True
-            )
+            self._temporary = path.parent / f".{path.name}-{token_hex(4)}"
+            # Whenever a signal arrives, also before the `with` begins, the folder is removed together with this object.
+            self._remove = weakref.finalize(self, shutil.rmtree, self._temporary, ignore_errors=True)
             with ExitStack() as undo:
-                undo.callback(self._temporary.cleanup)
-                self._unfinished = Path(self._temporary.name, path.name)
-                if not self._is_file:
-                    self._unfinished.mkdir()
+                undo.callback(self._remove)
+                self._unfinished = self._temporary / path.name
+                (self._temporary if self._is_file else self._unfinished).mkdir(parents=True)
                 mcap_path = self._unfinished if self._is_file else self._unfinished / f"{path.name}_0.mcap"
                 self._file = McapFileWriter(mcap_path)
                 undo.pop_all()
@@ -388,7 +388,7 @@ class BagWriter:
                 write_metadata(self._unfinished, [self._file.saved])
             check_output(self.path, overwrite=self._overwrite)
             if self.path.exists():
-                self.path.rename(Path(self._temporary.name, "replaced"))
+                self.path.rename(self._temporary / "replaced")
             self._unfinished.rename(self.path)
         except OutputError:
             raise
@@ -401,10 +401,10 @@ class BagWriter:
         """Delete the unfinished bag."""
         self._file.close()
         try:
-            self._temporary.cleanup()
+            self._remove()
         finally:
             # Repeat it in case a signal interrupted the first attempt.
-            self._temporary.cleanup()
+            shutil.rmtree(self._temporary, ignore_errors=True)
 
     def __enter__(self) -> Self:
         return self

@@ -21,6 +21,7 @@ from scara_effmass.analysis.assessment import (
     AssessedStates,
     Time,
     assess_joint_states,
+    assessed_rows,
     cross_checked,
     first_difference,
     joint_state_topic,
@@ -100,6 +101,23 @@ def compare(path: Path, dynamics: RobotDynamics, time: Time = Time.LIVE, **chang
     assert (monitor.ignored, monitor.rejected, monitor.verdicts) == (other.ignored, other.rejected, other.verdicts)
     assert monitor.first_cause == other.first_cause
     return states
+
+
+def test_a_former_recording_holds_the_same_assessments() -> None:
+    """A topic `contact_state` of the definition before ContactStates: a message for each contact point."""
+    former_names = {"body_mass": "obstacle_mass"}
+    with open_bag(ROOT / "test" / "recordings" / "former_contact_state.mcap") as bag:
+        former = map(bag.deserialize, bag.messages(["/contact_state"]))
+        for row in assessed_rows(bag, "/joint_states", Monitor(SCARA, MonitorSettings())):
+            for contact in row.decision.contacts:
+                recorded = next(former)
+                assert (recorded.contact_point, recorded.verdict) == (contact.contact_point, contact.verdict)
+                assert recorded.reason == contact.reason
+                for name, value in contact._asdict().items():
+                    if isinstance(value, float):
+                        own = getattr(recorded, former_names.get(name, name), None)
+                        assert own is None or value == pytest.approx(own, rel=1e-9, abs=1e-9, nan_ok=True), name
+        assert next(former, None) is None
 
 
 CHANGES: list[dict[str, Any]] = [

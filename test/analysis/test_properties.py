@@ -106,6 +106,14 @@ MUTATIONS: dict[str, Callable[[Trace], Trace]] = {
 }
 
 
+def test_verdicts_of_a_former_recording_are_checked() -> None:
+    path = Path(__file__).parents[1] / "recordings" / "former_contact_state.mcap"
+    results = check_recording(path, SETTINGS)
+    assert {result.verdicts for result in results} == {str(path)}
+    assert [result.violations for result in results] == [0] * len(PROPERTIES)
+    assert all(result.evaluated == 800 for result in results)
+
+
 def test_every_property_has_a_mutation() -> None:
     assert list(MUTATIONS) == list(PROPERTIES)
 
