@@ -35,6 +35,7 @@ from scara_effmass.kernel.pose_change import assign, assign_symmetric, turn_chan
 from scara_effmass.kernel.records import (
     CASE,
     CONTACT,
+    MIN_NORMAL_COMPONENT,
     POINT,
     SETUP,
     WORK,
@@ -62,7 +63,8 @@ def set_normal(out: Mobility, m: Mobility6, mass: float, worst: float, approach:
     """Write the mobility of one model for the contact normal of the settings, after its change of pose."""
     if setup.normal == Normal.FIXED:
         if out.change_rank > 0:
-            turn_change(out, approach.normal, approach.share * out.speed)
+            either_way = approach.share == MIN_NORMAL_COMPONENT
+            turn_change(out, approach.normal, approach.share * out.speed, either_way)
         set_scalar(out, along(m, approach.normal))
     elif setup.normal == Normal.WORST and approach.is_moving:
         set_scalars(out, m, approach.direction, approach.rank)

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-import threading
 from collections.abc import Sequence
 from typing import Any
 
@@ -36,16 +35,6 @@ def too_large(robot: Robot) -> str:
     return ""
 
 
-class _Scratch(threading.local):
-    """The bytes of one Work for each thread."""
-
-    def __init__(self) -> None:
-        self.work = np.empty(WORK.itemsize, np.uint8)
-
-
-_SCRATCH = _Scratch()
-
-
 class ContactKernel:
     """Assesses joint states of one robot with one setting."""
 
@@ -57,6 +46,7 @@ class ContactKernel:
         points = [Point(frame.parentJoint - 1, rank, frame.placement.translation) for frame, rank in frames]
         rows = [_case(case, limits.index(case.limit)) for case in cases]
         self._arrays = _bytes([self._setup(settings, cases)]), _bytes(points), _bytes(rows)
+        self._spare: list[ByteArray] = []
 
     def _setup(self, settings: MonitorSettings, cases: Sequence[ContactCase]) -> Setup:
         """Return robot and settings, `cases` those of all limits."""
@@ -127,8 +117,13 @@ class ContactKernel:
         return frame.parentJoint - 1, frame.placement.rotation @ np.array(vector)
 
     def compute(self, states: ByteArray, motions: FloatArray, numbers: FloatArray) -> None:
-        """Write the contacts at the admitted ones of N joint states, as `assess_states`."""
-        assess_states(states, motions, *self._arrays, numbers, _SCRATCH.work)
+        """Write the contacts at the admitted ones of N joint states, as `assess_states`; several threads may do so."""
+        try:
+            scratch = self._spare.pop()
+        except IndexError:
+            scratch = np.empty(WORK.itemsize, np.uint8)
+        assess_states(states, motions, *self._arrays, numbers, scratch)
+        self._spare.append(scratch)
 
 
 def _case(case: ContactCase, region: int) -> Case:

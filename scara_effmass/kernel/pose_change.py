@@ -53,18 +53,23 @@ def set_change(
     assign(out.held, held)
     assign_symmetric(out.matrix, m)
     set_matrix(out.powers, powers)
-    out.speed, out.change_rank = speed, out.rank
+    out.speed, out.change_rank, out.either_way = speed, out.rank, False
 
 
 @inlined
-def turn_change(out: Mobility, normal: Vector3, min_speed: float) -> None:
-    """Make the change that for a contact with this normal, at least `min_speed` along it."""
+def turn_change(
+    out: Mobility,
+    normal: Vector3,
+    min_speed: float,
+    either_way: bool,  # noqa: FBT001 - compiled
+) -> None:
+    """Make the change that for a contact with this normal, at least `min_speed` along it, or `either_way`."""
     speed = out.speed * dot(vector(out.direction), normal)
     sign = -1.0 if speed < 0.0 else 1.0
     mobility = along(matrix_of(out), normal)
     assign_symmetric(out.matrix, (mobility, 0.0, 0.0, mobility, 0.0, mobility))
     assign(out.direction, scale(sign, normal))
-    out.speed, out.change_rank = max(sign * speed, min_speed), 3
+    out.speed, out.change_rank, out.either_way = max(sign * speed, min_speed), 3, either_way
 
 
 @inlined
@@ -99,8 +104,10 @@ def growth(change: Mobility, alpha: float, beta: float) -> float:
             return math.inf
         powers = vector_at(change.powers, 0), vector_at(change.powers, 1), vector_at(change.powers, 2)
         energy_rate = dot(x, rotate(powers, x))
-    faster = max(0.0, dot(x, vector(change.free)))
-    faster = max(faster, dot(x, vector(change.held)))
+    free, held = dot(x, vector(change.free)), dot(x, vector(change.held))
+    if change.either_way:
+        free, held = abs(free), abs(held)
+    faster = max(0.0, free, held)
     rate: float = 2.0 * (faster / change.speed + max(0.0, -energy_rate)) / total
     return rate
 

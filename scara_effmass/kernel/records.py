@@ -121,7 +121,8 @@ class Mobility:
 
     `along` to `rank` are scalars of A: along the velocity, that of its adjugate, and its invariants. The
     others are its `PoseChange` in `change_rank` dimensions, 0 without one: direction and speed of the contact point, A,
-    the `powers` K M^-1 J^T, and the accelerations with `free` and with `held` joint velocities.
+    the `powers` K M^-1 J^T, and the accelerations with `free` and with `held` joint velocities; `either_way`: their
+    opposites, too.
     """
 
     along: float
@@ -137,6 +138,7 @@ class Mobility:
     powers: Annotated[FloatArray, (3, 3)]
     free: Vector
     held: Vector
+    either_way: bool
 
 
 @dataclass

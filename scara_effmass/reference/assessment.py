@@ -262,7 +262,8 @@ class ContactAssessor:
     def _at_normal(self, mobility: Mobility) -> Mobility:
         """Return `mobility` for the contact normal of the settings."""
         if self._fixed_normal is not None:
-            return mobility.along(self._fixed_normal, self._share * self.contact.speed)
+            min_speed, either_way = self._share * self.contact.speed, self._share == MIN_NORMAL_COMPONENT
+            return mobility.along(self._fixed_normal, min_speed, either_way=either_way)
         if self.direction is None:
             return Mobility.of_mass(mobility.worst_mass, X_AXIS)
         if self.settings.contact_normal == "velocity":  # of the first touch, as in the paper and the standard

@@ -106,14 +106,21 @@ class Mobility:
         change = self.change and replace(self.change, mobility_rate=self.change.mobility_rate / factor)
         return replace(self, values=self.values / factor, change=change)
 
-    def along(self, normal: FloatArray, min_speed: float) -> Mobility:
-        """Return the mobility of a contact with the unit `normal`: n^T A n, at least `min_speed` [m/s] along it."""
+    def along(self, normal: FloatArray, min_speed: float, *, either_way: bool) -> Mobility:
+        """Return the mobility of a contact with the unit `normal`: n^T A n, at least `min_speed` [m/s] along it.
+
+        `either_way`: the point may move with or against the normal, so that accelerations both ways count.
+        """
         mass = self.effective_mass(normal)
         if self.change is None:
             return Mobility.of_mass(mass, normal)
         speed = self.change.speed * float(self.direction @ normal)
         normal = -normal if speed < 0.0 else normal
-        return Mobility.of_mass(mass, normal, replace(self.change, speed=max(abs(speed), min_speed)))
+        accelerations = self.change.accelerations
+        if either_way:
+            accelerations += tuple(-a for a in accelerations)
+        change = replace(self.change, speed=max(abs(speed), min_speed), accelerations=accelerations)
+        return Mobility.of_mass(mass, normal, change)
 
     def impulse(self, alpha: float, beta: float = 1.0) -> FloatArray:
         """Return w = (alpha I + beta A)^-1 n [kg], the impulse of a sticking contact at unit speed; may be infinite.

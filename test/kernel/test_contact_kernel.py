@@ -134,6 +134,23 @@ def test_kernel_equals_the_reference_for_every_robot(robot: Path) -> None:
         compare_robot(robot, contact, seed)
 
 
+@pytest.mark.parametrize("robot", ROBOTS[:4], ids=lambda path: path.stem)
+def test_motion_across_a_fixed_normal_counts_both_ways(robot: Path) -> None:
+    """The speed along the normal is rounding: its sign must decide nothing."""
+    dynamics = RobotDynamics(load_robot(robot, settings_of()))
+    motions = motions_of(dynamics, 3)
+    contacts = computed(ContactKernel(dynamics, settings_of(), limits_for(settings_of())), dynamics, motions)[:, 0]
+    is_moving = contacts["worst_direction_used"] == 0.0
+    for motion, direction in zip(motions[is_moving][:6], contacts["direction"][is_moving][:6], strict=True):
+        across = np.cross(direction, np.roll(np.eye(3), 1, axis=0)[np.argmax(np.abs(direction))])
+        speeds = []
+        for normal in (across, -across):
+            chosen = settings_of(contact_normal=" ".join(map(repr, normal.tolist())))
+            channels = (channel(dynamics, chosen, limits_for(chosen)) for channel in (ContactKernel, ReferenceChannel))
+            speeds += [computed(channel, dynamics, motion[None])["allowable_speed"][0, 0] for channel in channels]
+        assert speeds == pytest.approx([speeds[0]] * len(speeds), rel=1e-9)
+
+
 @settings(max_examples=25)
 @given(robot=st.sampled_from(ROBOTS[:4]), contact=CONTACTS, other=OTHERS, seed=st.integers(0, 2**32 - 1))
 def test_kernel_equals_the_reference_for_every_setting(

@@ -103,7 +103,7 @@ def test_growth_along_a_fixed_normal(seed: int, alpha: float) -> None:
         return math.log((n @ velocity) ** 2 / (alpha + n @ mobility @ n))
 
     parts = [(log_square(STEP, *part) - log_square(-STEP, *part)) / (2.0 * STEP) for part in ((1.0, 0.0), (0.0, 1.0))]
-    along = motion.moving().along(motion.normal, 0.0)
+    along = motion.moving().along(motion.normal, 0.0, either_way=False)
     assert along.change is not None
     assert along.change.speed == pytest.approx(abs(n @ motion.velocity))
     assert along.growth(alpha, 1.0) == pytest.approx(sum(max(part, 0.0) for part in parts), rel=1e-5, abs=1e-5)
@@ -112,7 +112,9 @@ def test_growth_along_a_fixed_normal(seed: int, alpha: float) -> None:
 def test_speed_along_a_fixed_normal_has_a_minimum() -> None:
     y = np.array([0.0, 1.0, 0.0])
     moving = Mobility.of_matrix(np.eye(3), X, 3, PoseChange(0.5, ZEROS, (y,)))
-    assert moving.along(y, 0.1).growth(1.0, 1.0) == pytest.approx(2.0 * 1.0 / 0.1)
+    for sign in (1.0, -1.0):  # a speed of 0 along the normal has no sign
+        along = moving.along(sign * y, 0.1, either_way=True)
+        assert along.growth(1.0, 1.0) == pytest.approx(2.0 * 1.0 / 0.1)
 
 
 @given(SEEDS, ALPHAS)

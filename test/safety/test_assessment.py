@@ -137,15 +137,17 @@ def bounding_speed(
         assert change is not None
         mobility, rate = contact.mobilities[model], change.mobility_rate / (1.0 + settings.mass_uncertainty)
         matrix = mobility / (1.0 + settings.mass_uncertainty) + np.eye(3) / limit.body_mass_kg
-        w, along_speed = np.linalg.solve(matrix, n), contact.speed
+        w, along_speed, accelerations = np.linalg.solve(matrix, n), contact.speed, change.accelerations
         if settings.fixed_normal is not None:
             normal = np.array(settings.fixed_normal)
             along_speed *= max(abs(float(n @ normal)), 0.1)
+            if abs(n @ normal) <= 0.1:  # the point may as well move the other way
+                accelerations += tuple(-a for a in accelerations)
             n = normal * (1.0 if n @ normal >= 0.0 else -1.0)
             w = n / (n @ matrix @ n)
         if settings.drives is Drives.IMMOVABLE:
             w, rate = n, 0.0 * rate
-        faster = max(0.0, *(float(w @ a) for a in change.accelerations)) / along_speed
+        faster = max(0.0, *(float(w @ a) for a in accelerations)) / along_speed
         growth = (2.0 * faster + max(0.0, -float(w @ rate @ w))) / float(n @ w)
         growth *= 0.5 * min(1.5 * math.pi / 2.0 * math.sqrt(mu / stiffness), 0.5) / along_speed
     return float(2.0 * speed / (1.0 + math.sqrt(1.0 + 4.0 * growth * speed)))
@@ -728,7 +730,7 @@ def test_servo_counts_joints_that_are_held_one_by_one(
     coupled, held = at.mobility(ModelCode.FULL, direction), at.held_mobility(ModelCode.FULL, direction)
     for mobility in (coupled,) if servo["computed_torque"] else (coupled, held):
         if fixed is not None:
-            mobilities.append(mobility.along(fixed, share * at.speed))
+            mobilities.append(mobility.along(fixed, share * at.speed, either_way=share == 0.1))
         elif direction is None:
             mobilities.append(Mobility.of_mass(mobility.worst_mass, X_AXIS))
         elif normal == "velocity":
