@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Mobilities A = J_v M^-1 J_v^T of a contact point: effective masses and reduced masses.
 
-`iso15066` derives the equations.
+`reference.mobility` derives the equations.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ class Takes(NamedTuple):
 
 
 class Choice(NamedTuple):
-    """Mobilities, the models that decide, and why. `error` is a `codes.Error`."""
+    """Mobilities, the models that decide, and why. `error` is the reason if no mass can decide."""
 
     lumped: Mobility6
     full: Mobility6

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Change of pose during a contact: how fast the reduced mass grows. `iso15066.pose_change` derives the equations."""
+"""Change of pose during a contact: how fast the reduced mass grows. `reference.mobility` derives the equations."""
 
 from __future__ import annotations
 

@@ -64,7 +64,7 @@ class Setup:
     Per joint: index of its `parent` (-1 the base), its pose there, its `axis` in its own frame, its effort limit. Per
     model, lumped and full, and joint: inertia of its link about `lever`, in its frame; the rotors are in `armature` and
     `coupling`. Fixed contact normal and test direction are in the frame of a joint. `model` is a
-    `codes.Model`, `normal` a `codes.Normal`.
+    `kernel.codes.Model`, `normal` a `kernel.codes.Normal`.
     """
 
     joints: int

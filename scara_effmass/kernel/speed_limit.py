@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Speed limits of one contact point: which case governs, as `iso15066.speed_limit` defines them."""
+"""Speed limits of one contact point: which case governs, as `reference.speed_limit` defines them."""
 
 from __future__ import annotations
 
