@@ -47,7 +47,8 @@ class SpeedLimit:
         mu is at most `max_mass` [kg].
         """
         speed *= 1.0 + self.growth * speed
-        energy = self.stiffness * min(self.reduced_mass, max_mass) * speed * speed
+        mass = max_mass if math.isinf(self.reduced_mass) else self.reduced_mass
+        energy = self.stiffness * mass * speed * speed
         return self.push + math.sqrt(self.push * self.push + energy)
 
 
@@ -107,9 +108,15 @@ def contact_cases(limits: Iterable[Limit], settings: MonitorSettings | None = No
         raise LimitError("body_regions: must hold at least one region with a limit")
     stiffness = tuple(limit.stiffness_n_m * (1.0 + settings.stiffness_uncertainty) for limit in limits)
     masses = tuple(limit.body_mass_kg for limit in limits)
-    is_free = settings.drives is Drives.FREE
+
+    def drive_time(limit: Limit, k: float) -> float | None:
+        if settings.drives is Drives.FREE:
+            return None
+        is_clamped = math.isinf(limit.body_mass_kg)
+        return settings.servo.stopping_time if is_clamped else contact_time(limit.body_mass_kg, k)
+
     cases = [
-        ContactCase(limit, k, lines, None if is_free else contact_time(limit.body_mass_kg, k))
+        ContactCase(limit, k, lines, drive_time(limit, k))
         for limit, k, lines in zip(
             limits, stiffness, contact_lines(settings.drives, settings.servo, stiffness, masses), strict=True
         )

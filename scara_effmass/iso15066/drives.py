@@ -36,14 +36,13 @@ def contact_lines(
     """Return lower bounds of 1/mu for each contact stiffness k [N/m] and mass m_H [kg]; the largest one applies.
 
     Free joints have alpha = 1/m_H and beta = 1 (ISO/TS 15066), an immovable robot beta = 0. The lines of a servo lie on
-    the lower convex hull of 1/mu over 1/m_n, which `servo_reduced_masses` simulates. A servo against a clamped body
-    part (infinite m_H) pushes without bound, like an immovable robot.
+    the lower convex hull of 1/mu over 1/m_n, which `servo_reduced_masses` simulates.
     """
     alphas = [1.0 / mass for mass in body_mass]
-    if drives is not Drives.SERVO or not any(alphas):
+    if drives is not Drives.SERVO:
         beta = 1.0 if drives is Drives.FREE else 0.0
         return [((alpha, beta),) for alpha in alphas]
-    masses = servo_reduced_masses(_MOBILITIES, np.array(stiffness), np.array(body_mass), servo.bandwidth, servo.damping)
+    masses = servo_reduced_masses(_MOBILITIES, np.array(stiffness), np.array(body_mass), servo)
     # A lighter robot must not count as hitting harder.
     masses = np.maximum.accumulate(masses[:, ::-1] * _MARGIN, axis=1)[:, ::-1]
     return [_lower_hull(np.maximum(1.0 / mu, alpha), alpha) for mu, alpha in zip(masses, alphas, strict=True)]
@@ -66,32 +65,37 @@ def _lower_hull(inverse: FloatArray, alpha: float) -> tuple[Line, ...]:
 
 
 def servo_reduced_masses(
-    mobility: FloatArray, stiffness: FloatArray, body_mass: FloatArray, bandwidth_hz: float, damping: float
+    mobility: FloatArray, stiffness: FloatArray, body_mass: FloatArray, settings: ServoSettings
 ) -> FloatArray:
     """Return mu (m, n) [kg] of m contacts (`stiffness` [N/m], `body_mass` [kg]) at n mobilities 1/m_n [1/kg].
 
-    Simulates `TRANSIENT_S` in exact steps (matrix exponential); the contact may open and close. The state is the
-    compression, its rate, the servo error and its rate, at unit speed.
+    Simulates `TRANSIENT_S` in exact steps (matrix exponential); the contact may open and close. On a clamped body part
+    (infinite m_H) the reference moves on for the stopping time and then stands still, which is simulated for a period
+    of the servo. The state is the compression, its rate, the servo error and its rate, at unit speed.
     """
     from scipy.linalg import expm  # noqa: PLC0415 - slow, and not needed for free drives
 
     shape = (len(stiffness), len(mobility))
     k, alpha = (np.repeat(values, shape[1]) for values in (stiffness, 1.0 / body_mass))
-    a, servo = np.tile(mobility, shape[0]), 2.0 * math.pi * bandwidth_hz
+    a, servo, clamped = np.tile(mobility, shape[0]), 2.0 * math.pi * settings.bandwidth, alpha == 0.0
+    stop = np.where(clamped, settings.stopping_time, TRANSIENT_S)
+    end = np.where(clamped, settings.stopping_time + 1.0 / settings.bandwidth, TRANSIENT_S)
     dt = _STEP / np.maximum(np.sqrt(k * (a + alpha)), servo)
     contact, free = (
-        expm(_dynamics(stiffness, a, alpha, servo, damping) * dt[:, None, None]) for stiffness in (k, np.zeros_like(k))
+        expm(_dynamics(stiffness, a, alpha, servo, settings.damping) * dt[:, None, None])
+        for stiffness in (k, np.zeros_like(k))
     )
     state = np.tile([0.0, 1.0, 0.0, 0.0], (len(k), 1))
     compression = np.zeros(len(k))
-    order = np.argsort(dt)  # the contacts with the longest steps end first
+    order = np.argsort(-end / dt)  # the contacts with the fewest steps end first
     state, contact, free = state[order], contact[order], free[order]
-    steps = np.ceil(TRANSIENT_S / dt[order]).astype(int)
+    stops, steps = (np.ceil((times / dt)[order]).astype(int) for times in (stop, end))
     running = len(k)
     for step in range(steps[0]):
         while steps[running - 1] <= step:
             running -= 1
         now = state[:running]
+        now[stops[:running] == step, 3] += 1.0  # the reference stops
         touching = (now[:, 0] > 0.0) | ((now[:, 0] == 0.0) & (now[:, 1] > 0.0))
         matrices = np.where(touching[:, None, None], contact[:running], free[:running])
         now[:] = np.einsum("nij,nj->ni", matrices, now)

@@ -183,7 +183,7 @@ def set_verdict(contact: Contact, case: Case, bound: Bound, mass: float, approac
     closing_speed = setup.closing_speed + approach.tolerance
     hit = approach.speed * approach.share + closing_speed
     hit *= 1.0 + bound.growth * hit
-    push, bound_mass = bound.push, min(bound.reduced_mass, setup.mass_cap)
+    push, bound_mass = bound.push, bound.reduced_mass if bound.reduced_mass < math.inf else setup.mass_cap
     contact.force_bound = push + math.sqrt(push * push + case.stiffness * bound_mass * hit * hit)
     nominal_speed = (bound.speed - closing_speed) / approach.share
     contact.allowable_speed = max(0.0, nominal_speed)
@@ -196,7 +196,9 @@ def set_verdict(contact: Contact, case: Case, bound: Bound, mass: float, approac
     is_light = mass < best_mass * (1.0 - setup.model_margin)
     if is_light:
         verdict, code = max(verdict, _WARN), code if code != Reason.NONE else Reason.LIGHT_MODEL
-    if contact.clamping_force > setup.weakest_force:
+    if setup.is_servo:  # it pushes no further than its reference moves on
+        contact.clamping_force = min(contact.clamping_force, contact.force_bound)
+    elif contact.clamping_force > setup.weakest_force:
         verdict, code, contact.allowable_speed = _VIOLATION, Reason.CLAMPED, 0.0
     contact.verdict = verdict
     if code == Reason.CLAMPED:
@@ -241,8 +243,7 @@ def assess_point(
     set_motion(contact, approach, choice, setup, work)
     error = choice.error
     contact.clamping_force = clamping_force(approach, setup, work) if setup.clamps else 0.0
-    if contact.clamping_force == math.inf:
-        contact.clamping_force = 0.0
+    if contact.clamping_force == math.inf and not setup.is_servo:
         error = Reason.NO_CLAMPING_FORCE if error == Reason.NONE else error
     contact.effective_mass = contact.worst_direction_mass = contact.body_mass = contact.reduced_mass = (
         contact.stiffness
@@ -256,6 +257,8 @@ def assess_point(
         fill_limits(setup, cases, work, contact, choice, approach)
     else:
         explain(error, choice.error_value, contact)
+    if contact.clamping_force == math.inf:
+        contact.clamping_force = 0.0
     contact.margin = contact.allowable_speed - approach.speed
 
 

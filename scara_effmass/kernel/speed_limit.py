@@ -87,10 +87,14 @@ def case_bound(case: Case, m: Mobility, mass_factor: float, rate: float) -> Boun
 
 
 @inlined
-def push_bound(case: Case, mobilities: Sequence[Mobility], mass_factor: float, drives: Drives) -> Bound:
+def push_bound(
+    case: Case, mobilities: Sequence[Mobility], mass_factor: float, drives: Drives, clamping_limit: float
+) -> Bound:
     """Return the bound of free joints and the push of the drives."""
     mobility = drives.min_mobility / mass_factor + case.obstacle_mobility
     force = drives.acceleration / mobility if mobility > 0.0 else math.inf
+    if case.obstacle_mobility == 0.0:
+        force = min(force, clamping_limit)
     rest = case.force * (case.force - 2.0 * force)
     if rest <= 0.0:
         return Bound(0.0, 0.0, 0.0, force)
@@ -121,7 +125,7 @@ def fill_greatest(mobilities: Sequence[Mobility], setup: Setup, work: Work) -> N
 def governing_case(
     cases: Sequence[Case], mobilities: Sequence[Mobility], drives: Drives, setup: Setup, work: Work
 ) -> tuple[int, Bound]:
-    """Return the case that allows the least speed, and its bound. An infinite acceleration has no push."""
+    """Return the case that allows the least speed, and its bound."""
     factor, governing, slowest = setup.mass_factor, 0, NO_BOUND
     fill_greatest(mobilities, setup, work)
     for i in range(len(cases)):
@@ -136,8 +140,8 @@ def governing_case(
                 other = case_bound(case, mobilities[k], factor, rate)
                 if is_less(other, bound):
                     bound = other
-        if drives.acceleration < math.inf:
-            other = push_bound(case, mobilities, factor, drives)
+        if setup.is_servo:
+            other = push_bound(case, mobilities, factor, drives, setup.external_force)
             if is_less(bound, other):
                 bound = other
         if bound.speed < slowest.speed:

@@ -159,12 +159,13 @@ class ContactAssessor:
         if self.settings.contact is ContactType.QUASI_STATIC:
             force = contact.clamping_force(self._directions())
             result.clamping_force = min(force, self.settings.external_force_limit or math.inf)
-            if result.clamping_force == math.inf:
-                result.clamping_force = 0.0
+            if result.clamping_force == math.inf and self.settings.drives is not Drives.SERVO:
                 result.reason = result.reason or Reason.NO_CLAMPING_FORCE
         if not result.reason:
             result.mass_model_reason = why
             self._limit_speed(result)
+        if result.clamping_force == math.inf:
+            result.clamping_force = 0.0
         return result
 
     # -- which model decides ---------------------------------------------------------------------------------------
@@ -295,7 +296,8 @@ class ContactAssessor:
         settings, factor = self.settings, 1.0 + self.settings.mass_uncertainty
         push, max_force = None, math.inf
         if settings.drives is Drives.SERVO:
-            push = DrivePush(self.contact.drive_acceleration(), 1.0 / worst_mass / factor)
+            clamping_limit = settings.external_force_limit or math.inf
+            push = DrivePush(self.contact.drive_acceleration(), 1.0 / worst_mass / factor, clamping_limit)
             if settings.servo.computed_torque:
                 max_force = self._holding_force()
         mobilities = [mobility.with_masses(factor) for mobility in self._mobilities()]
@@ -328,7 +330,9 @@ class ContactAssessor:
         result.force_bound = found.force(speed * self._share + closing_speed, cap)
         result.allowable_speed = max(0.0, nominal_speed)
         self._judge(result, mass, nominal_speed)
-        if result.clamping_force > min(case.force for case in self.cases):
+        if settings.drives is Drives.SERVO:  # it pushes no further than its reference moves on
+            result.clamping_force = min(result.clamping_force, result.force_bound)
+        elif result.clamping_force > min(case.force for case in self.cases):
             result.allowable_speed, result.verdict = 0.0, Verdict.VIOLATION
             result.reason, result.reason_values = Reason.CLAMPED, (result.clamping_force,)
 

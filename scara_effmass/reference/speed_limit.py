@@ -15,15 +15,20 @@ from scara_effmass.reference.mobility import Mobility
 
 @dataclass(frozen=True, slots=True)
 class DrivePush:
-    """Acceleration [m/s2] of the contact point that the effort limits allow, and its least mobility [1/kg]."""
+    """Acceleration [m/s2] of the contact point that the effort limits allow, and its least mobility [1/kg].
+
+    `clamping_limit` [N] is the force at which the robot stops pushing on a clamped body part.
+    """
 
     acceleration: float
     min_mobility: float
+    clamping_limit: float
 
     def force(self, obstacle_mobility: float) -> float:
         """Return the force P = a / (1/m_n + 1/m_H) [N] of drives that push robot and body part on."""
         mobility = self.min_mobility + obstacle_mobility
-        return self.acceleration / mobility if mobility > 0.0 else math.inf
+        force = self.acceleration / mobility if mobility > 0.0 else math.inf
+        return force if obstacle_mobility > 0.0 else min(force, self.clamping_limit)
 
 
 def speed_limit(

@@ -63,6 +63,12 @@ class ServoSettings(FrozenSettings):
         description="the position control decouples the joints by the mass matrix, up to their effort limits; "
         "false: a controller per joint",
     )
+    stopping_time: float = tunable(
+        0.5,
+        "time for which the reference moves on after the robot clamps a body part, until it has noticed and stopped [s]",
+        gt=0.0,
+        le=10.0,
+    )
 
 
 class LumpingPolicy(str, Enum):

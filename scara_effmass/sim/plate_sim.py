@@ -105,7 +105,7 @@ class PlateSim:
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         mobilities = np.einsum("ni,ij,nj->n", normals, mobility, normals)
         k, m_h = np.array([limit.stiffness_n_m]), np.array([limit.body_mass_kg])
-        mu = servo_reduced_masses(mobilities, k, m_h, servo.bandwidth, servo.damping)[0]
+        mu = servo_reduced_masses(mobilities, k, m_h, servo)[0]
         return np.asarray(normals[np.argmax((normals @ velocity) ** 2 * mu)])
 
     def touch(
