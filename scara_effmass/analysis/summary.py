@@ -20,7 +20,7 @@ from scara_effmass.codes import Reason
 from scara_effmass.kernel.state import CODE
 from scara_effmass.safety.assessments import Records
 from scara_effmass.safety.remedies import remedy
-from scara_effmass.values import ContactAssessment, Verdict
+from scara_effmass.values import BoolArray, ContactAssessment, Verdict
 
 NUMBER = re.compile(r"(?<![\w.])-?\d+(\.\d+)?(e[-+]?\d+)?(?![\w])")
 """Numbers in a reason, but no digits in names; reasons that differ only in numbers are counted together."""
@@ -48,12 +48,17 @@ def worst(verdicts: Iterable[Verdict]) -> Verdict:
     return min(verdicts, key=WORST_FIRST.index, default=Verdict.UNKNOWN)
 
 
-def mass_model_counts(contacts: Records, labels: Mapping[str, Sequence[str]]) -> Counter[str]:
-    """Count the mass models that decide `contacts` (m,), with the reasons for them; `labels` are the texts of codes."""
+def mass_model_counts(
+    contacts: Records, labels: Mapping[str, Sequence[str]], chosen: BoolArray | None = None
+) -> Counter[str]:
+    """Count the mass models that decide `contacts` (m,) or the `chosen` ones, with the reasons for them.
+
+    `labels` are the texts of codes.
+    """
     models, whys = labels["mass_model"], labels["mass_model_reason"]
     pairs = contacts["mass_model"].astype(np.int64) * len(whys) + contacts["mass_model_reason"].astype(np.int64)
     counts: Counter[str] = Counter()
-    for pair, count in _counts(pairs):
+    for pair, count in _counts(pairs if chosen is None else pairs[chosen]):
         model, why = divmod(pair, len(whys))
         if models[model]:
             counts[f"{models[model]}: {whys[why]}"] += count
@@ -138,7 +143,7 @@ class Summary:
                     numbers = [float(number.group()) for number in NUMBER.finditer(text)]
                     code = Reason(int(contacts["reason"][int(np.argmax(indices == index)), point, CODE]))
                     self._count_reason(NUMBER.sub("…", text), code, count, [(number, number) for number in numbers])
-            self.mass_models += mass_model_counts(contacts[decides & ~unknown, point], states.assessments.labels)
+            self.mass_models += mass_model_counts(contacts[:, point], states.assessments.labels, decides & ~unknown)
         self._pass_time(states.log_time_ns, shown)
 
     def _find_tightest(self, states: AssessedStates, source: str) -> None:

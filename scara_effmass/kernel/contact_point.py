@@ -148,16 +148,17 @@ def fill_change(
     """Write the change of pose of model `k`: K M^-1 J_v^T and K qd, with K = dJ_v/dt - J_v M^-1 C."""
     if not work.has_coriolis[k]:
         fill_coriolis(k, setup, work)
-    count, uncoupled, coriolis, bias = approach.joints, work.uncoupled[k], work.coriolis[k], work.bias[k]
-    fill_responses(k, count, count, work)
+    joints, coriolis, bias = setup.joints, work.coriolis[k], work.bias[k]
+    fill_responses(k, approach.joints, joints, work)
     powers, free = NO_MATRIX, held
-    for i in range(count):
-        y, opposed = vector_at(uncoupled, i), ZERO_VECTOR
-        for j in range(count):
-            opposed = sub(opposed, scale(coriolis[i, j], vector_at(uncoupled, j)))
-        from_rate = outer(vector_at(work.jacobian_rate, i), vector_at(work.responses, i))
-        powers = add_matrices(powers, add_matrices(from_rate, outer(y, opposed)))
-        free = sub(free, scale(bias[i], y))
+    for i in range(joints):
+        response, opposed = vector_at(work.responses, i), ZERO_VECTOR
+        for j in range(joints):
+            opposed = sub(opposed, scale(coriolis[i, j], vector_at(work.responses, j)))
+        if i < approach.joints:
+            powers = add_matrices(powers, outer(vector_at(work.jacobian_rate, i), response))
+        powers = add_matrices(powers, outer(response, opposed))
+        free = sub(free, scale(bias[i], response))
     set_change(out, m, approach.direction, approach.speed, powers, free, held)
 
 
@@ -177,7 +178,7 @@ def fill_held_change(k: int, m: Mobility6, approach: Approach, held: Vector3, wo
     powers = NO_MATRIX
     for i in range(approach.joints):
         response = scale(1.0 / work.diagonals[k, i], vector_at(work.jacobian, i))
-        rate = sub(vector_at(work.jacobian_rate, i), scale(work.coriolis_diagonals[k, i], response))
+        rate = sub(vector_at(work.jacobian_rate, i), scale(work.coriolis[k, i, i], response))
         powers = add_matrices(powers, outer(rate, response))
     set_change(out, m, approach.direction, approach.speed, powers, held, held)
 

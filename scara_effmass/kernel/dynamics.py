@@ -234,29 +234,13 @@ def fill_coriolis_matrix(k: int, setup: Setup, work: Work) -> None:
 
 
 @inlined
-def fill_coriolis(  # noqa: C901 - loops over a triangle
-    k: int, setup: Setup, work: Work
-) -> None:
-    """Write M^-1 C qd and M^-1 C M^-1 in the coordinates of U: D^-1 U^-1 C qd and D^-1 U^-1 C U^-T D^-1."""
+def fill_coriolis(k: int, setup: Setup, work: Work) -> None:
+    """Write C (n, n) and C qd (n,)."""
     fill_coriolis_matrix(k, setup, work)
-    n, factors, matrix, bias = setup.joints, work.factors[k], work.coriolis[k], work.bias[k]
+    n, matrix = setup.joints, work.coriolis[k]
     for i in range(n):
-        work.coriolis_diagonals[k, i] = matrix[i, i]
-    for i in range(n - 1, -1, -1):
         total = 0.0
         for j in range(n):
             total += matrix[i, j] * work.qd[j]
-        for j in range(i + 1, n):
-            total -= factors[i, j] * bias[j]
-            for h in range(n):
-                matrix[i, h] -= factors[i, j] * matrix[j, h]
-        bias[i] = total
-    for i in range(n):
-        for j in range(n - 1, -1, -1):
-            for h in range(j + 1, n):
-                matrix[i, j] -= factors[j, h] * matrix[i, h]
-    for i in range(n):
-        bias[i] *= factors[i, i]
-        for j in range(n):
-            matrix[i, j] *= factors[i, i] * factors[j, j]
+        work.bias[k, i] = total
     work.has_coriolis[k] = 1

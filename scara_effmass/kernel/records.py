@@ -162,7 +162,6 @@ class Work:
     factors: Annotated[FloatArray, (2, MAX_JOINTS, MAX_JOINTS)]
     has_coriolis: Annotated[IntArray, (2,)]
     coriolis: Annotated[FloatArray, (2, MAX_JOINTS, MAX_JOINTS)]
-    coriolis_diagonals: Annotated[FloatArray, (2, MAX_JOINTS)]
     bias: Annotated[FloatArray, (2, MAX_JOINTS)]
     gravity: PerJoint
     jacobian: Columns3
