@@ -42,10 +42,12 @@ def contact_lines(
     if drives is not Drives.SERVO:
         beta = 1.0 if drives is Drives.FREE else 0.0
         return [((alpha, beta),) for alpha in alphas]
-    masses = servo_reduced_masses(_MOBILITIES, np.array(stiffness), np.array(body_mass), servo)
+    masses = servo_reduced_masses(np.append(0.0, _MOBILITIES), np.array(stiffness), np.array(body_mass), servo)
     # A lighter robot must not count as hitting harder.
-    masses = np.maximum.accumulate(masses[:, ::-1] * _MARGIN, axis=1)[:, ::-1]
-    return [_lower_hull(np.maximum(1.0 / mu, alpha), alpha) for mu, alpha in zip(masses, alphas, strict=True)]
+    inverses = 1.0 / np.maximum.accumulate(masses[:, ::-1] * _MARGIN, axis=1)[:, ::-1]
+    # An immovable robot carries a free body part along; a clamped one it compresses as far as its reference moves on.
+    least = [alpha or float(inverse[0]) for alpha, inverse in zip(alphas, inverses, strict=True)]
+    return [_lower_hull(np.maximum(inverse[1:], alpha), alpha) for inverse, alpha in zip(inverses, least, strict=True)]
 
 
 def _lower_hull(inverse: FloatArray, alpha: float) -> tuple[Line, ...]:

@@ -22,7 +22,7 @@ class DrivePush:
 
     acceleration: float
     min_mobility: float
-    clamping_limit: float
+    clamping_limit: float = math.inf
 
     def force(self, obstacle_mobility: float) -> float:
         """Return the force P = a / (1/m_n + 1/m_H) [N] of drives that push robot and body part on."""

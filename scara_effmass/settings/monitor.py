@@ -65,7 +65,7 @@ class ServoSettings(FrozenSettings):
     )
     stopping_time: float = tunable(
         0.5,
-        "time for which the reference moves on after the robot clamps a body part, until it has noticed and stopped [s]",
+        "time for which the reference moves on after the robot clamps a body part, until the robot stops [s]",
         gt=0.0,
         le=10.0,
     )

@@ -100,7 +100,8 @@ class PlateSim:
         if servo is None:
             normal = np.linalg.solve(mobility + least * np.eye(3), velocity)
             return np.asarray(normal / np.linalg.norm(normal))
-        shifts = np.geomspace(least, 1e3 * (np.trace(mobility) + least), NORMALS)
+        most = np.trace(mobility) + least
+        shifts = np.geomspace(max(least, 1e-6 * most), 1e3 * most, NORMALS)
         normals = np.linalg.solve(mobility + shifts[:, None, None] * np.eye(3), velocity[:, None])[:, :, 0]
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         mobilities = np.einsum("ni,ij,nj->n", normals, mobility, normals)
@@ -121,8 +122,9 @@ class PlateSim:
     ) -> Peak:
         """Return the peak of the force on a plate with the unit `normal` (3,) that contact point `point` touches.
 
-        Stiffness and mass of the plate are those of `limit`. A `servo` compensates gravity and moves its reference on
-        at constant velocity; a controller per joint is tuned to the inertia of its joint at the start. Without `servo`
+        Stiffness and mass of the plate are those of `limit`; a clamped one does not move. A `servo` compensates gravity
+        and moves its reference on at constant velocity, after it has clamped the plate for its stopping time; a
+        controller per joint is tuned to the inertia of its joint at the start. Without `servo`
         the joints are free, gravity is off, and the contact ends with the first separation. `pace` below 1 scales
         velocities, effort limits and gravity down and the peak up, so that the arm stays in the pose of the first
         touch. Raises ArithmeticError if the simulation diverges.
@@ -132,12 +134,14 @@ class PlateSim:
         jacobian, inertia = self.kinematics(q, point)
         row = normal @ jacobian
         rate = math.sqrt(k * (row @ np.linalg.solve(inertia, row) + 1.0 / limit.body_mass_kg))
-        coarse, duration = 0.0, 4.0 / rate
+        coarse, duration, stop = 0.0, 4.0 / rate, math.inf
         model.opt.gravity[2] = 0.0
         velocity, effort = qd * pace, self._robot.effort_limits * pace
         if servo is not None:
             omega = 2.0 * math.pi * servo.bandwidth
             rate, coarse, duration = max(rate, omega), min(phase_step / omega, MAX_STEP_S), TRANSIENT_S
+            if math.isinf(limit.body_mass_kg):
+                stop, duration = servo.stopping_time, servo.stopping_time + 1.0 / servo.bandwidth
             model.opt.gravity[2] = GRAVITY * pace
         fine = phase_step / rate
         offset = float(normal @ self._position(point))
@@ -160,7 +164,8 @@ class PlateSim:
             torque = data.qfrc_applied
             torque[:] = 0.0
             if servo is not None:
-                error, error_rate = q + velocity * time - data.qpos, velocity - data.qvel
+                error = q + velocity * min(time, stop) - data.qpos
+                error_rate = velocity * (time < stop) - data.qvel
                 torque[:] = self._torque(servo, error, error_rate, np.diag(inertia)).clip(-effort, effort)
             if force > 0.0:
                 torque -= force * (normal @ self._jacobian(point))

@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 
 from scara_effmass.iso15066 import TRANSIENT_S, SpeedLimit, limits_for, speed_limit_of_mass
 from scara_effmass.iso15066.drives import MAX_MOBILITY, servo_reduced_masses
-from scara_effmass.settings import Drives, MonitorSettings
+from scara_effmass.settings import Drives, MonitorSettings, ServoSettings
 
 
 def speed_limit_of(mass: float, settings: MonitorSettings) -> SpeedLimit:
@@ -78,8 +78,8 @@ def test_servo_lies_between_free_and_immovable(servo: MonitorSettings, mass: flo
 def test_limits_of_the_bandwidth() -> None:
     """A slow servo gives the two free masses, a fast one the immovable robot."""
     stiffness, obstacle, mobility = np.array([25e3]), np.array([40.0]), np.array([0.5])
-    slow = servo_reduced_masses(mobility, stiffness, obstacle, 0.01, 0.7)
-    fast = servo_reduced_masses(mobility, stiffness, obstacle, 300.0, 0.7)
+    slow = servo_reduced_masses(mobility, stiffness, obstacle, ServoSettings(bandwidth=0.01))
+    fast = servo_reduced_masses(mobility, stiffness, obstacle, ServoSettings(bandwidth=300.0))
     assert slow[0, 0] == pytest.approx(1.0 / (0.5 + 1.0 / 40.0), rel=0.01)
     assert fast[0, 0] == pytest.approx(40.0, rel=0.03)
 
@@ -87,10 +87,45 @@ def test_limits_of_the_bandwidth() -> None:
 def test_simulated_peak_is_never_too_low() -> None:
     """Without a drive the two free masses are exact: half a step of 0.1 rad is worth at most 0.26 % of the mass."""
     mobility = np.geomspace(0.02, 10.0, 40)
-    (masses,) = servo_reduced_masses(mobility, np.array([25e3]), np.array([40.0]), 1e-6, 0.7)
+    (masses,) = servo_reduced_masses(mobility, np.array([25e3]), np.array([40.0]), ServoSettings(bandwidth=1e-6))
     excess = masses * (mobility + 1.0 / 40.0)
     assert excess.min() >= 1.0 - 1e-6
     assert excess.max() <= 1.0 / math.cos(0.05) ** 2 + 1e-6
+
+
+def clamping_force(mass: float, stiffness: float, servo: ServoSettings) -> float:
+    """Return the peak force [N] on a clamped body part at 1 m/s, whose reference stops, by solve_ivp in two parts."""
+    pole, damping = 2.0 * math.pi * servo.bandwidth, 2.0 * servo.damping * 2.0 * math.pi * servo.bandwidth
+
+    def rates(t: float, state: np.ndarray, stop: float) -> list[float]:
+        x, vx = state
+        reference, speed = (t, 1.0) if t < stop else (stop, 0.0)
+        return [vx, pole**2 * (reference - x) + damping * (speed - vx) - stiffness * max(x, 0.0) / mass]
+
+    step = min(2.0 * math.pi / math.sqrt(stiffness / mass), 1.0 / servo.bandwidth) / 60.0
+    peak, state, stop = 0.0, [0.0, 1.0], servo.stopping_time
+    for span, at in (((0.0, stop), math.inf), ((stop, stop + 3.0 / servo.bandwidth), stop)):
+        solution = solve_ivp(rates, span, state, args=(at,), max_step=step, rtol=1e-8, atol=1e-10)
+        peak, state = max(peak, float(np.max(solution.y[0]))), solution.y[:, -1].tolist()
+    return stiffness * peak
+
+
+@pytest.mark.parametrize("damping", [0.3, 0.7, 1.5])
+@pytest.mark.parametrize(("bandwidth", "stopping_time"), [(0.5, 0.5), (1.5, 0.1), (5.0, 0.5), (20.0, 0.1), (20.0, 1.0)])
+def test_clamping_is_bounded_by_the_stiffness_of_the_servo(
+    bandwidth: float, stopping_time: float, damping: float
+) -> None:
+    servo = ServoSettings(bandwidth=bandwidth, damping=damping, stopping_time=stopping_time)
+    for region in ("abdomen", "hand_fingers"):
+        settings = settings_of(body_regions=[region], contact="quasi_static", drives="servo").model_copy(
+            update={"servo": servo}
+        )
+        for mass in np.geomspace(1.0 / MAX_MOBILITY, 100.0, 6).tolist():
+            found = speed_limit_of(mass, settings)
+            force = clamping_force(mass, found.limit.stiffness_n_m, servo)
+            assert force <= found.force(1.0)
+            assert mass < 2.0 or found.force(1.0) <= 2.3 * force
+            assert found.force(found.allowable_speed) == pytest.approx(found.limit.permissible_force_n)
 
 
 def test_robot_lighter_than_the_simulated_ones_counts_as_immovable() -> None:
@@ -99,5 +134,4 @@ def test_robot_lighter_than_the_simulated_ones_counts_as_immovable() -> None:
 
 
 def test_clamped_body_part_allows_no_speed_against_an_unbounded_push() -> None:
-    for drives in ("servo", "immovable"):
-        assert speed_limit_of(2.0, settings_of(drives=drives, contact="quasi_static")).allowable_speed == 0.0
+    assert speed_limit_of(2.0, settings_of(drives="immovable", contact="quasi_static")).allowable_speed == 0.0

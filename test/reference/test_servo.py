@@ -33,7 +33,7 @@ def test_no_normal_exceeds_the_bound_of_a_servo(servo: MonitorSettings) -> None:
         along.append(np.einsum("ni,ij,nj->n", normals, matrix, normals))
     limit = cases[0].limit
     stiffness, obstacle = np.array([limit.stiffness_n_m]), np.array([limit.body_mass_kg])
-    (masses,) = servo_reduced_masses(np.concatenate(along), stiffness, obstacle, servo.servo.bandwidth, 0.7)
+    (masses,) = servo_reduced_masses(np.concatenate(along), stiffness, obstacle, servo.servo)
     forces = np.array(shares) * np.sqrt(masses.reshape(20, 50) * stiffness)
     assert (forces.max(axis=1) <= bounds).all()
 

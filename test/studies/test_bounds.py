@@ -96,6 +96,23 @@ def test_a_controller_per_joint_stays_within_its_bound(arm: MonitoredArm, bandwi
     assert ratios[True].max() > ratios[False].max()
 
 
+@pytest.mark.parametrize("bandwidth", [1.0, 5.0, 20.0])
+@pytest.mark.parametrize("computed_torque", [False, True])
+def test_clamping_by_a_servo_that_stops_stays_within_its_bound(
+    arm: MonitoredArm,
+    bandwidth: float,
+    computed_torque: bool,  # noqa: FBT001
+) -> None:
+    servo = ServoSettings(bandwidth=bandwidth, computed_torque=computed_torque, stopping_time=0.3)
+    for region in ("abdomen", "hand_fingers"):
+        rng = np.random.default_rng(11)
+        options: dict[str, Any] = {"contact": "quasi_static", "drives": "servo", "servo": servo.model_dump()}
+        ratio, _ = bounds.contacts(arm, region, 6, rng, pushing=servo, plate="random", **options).T
+        assert ratio.max() < 1.0
+        ratio, _ = bounds.contacts(arm, region, 6, rng, pushing=servo, plate="velocity", **options).T
+        assert 0.1 < ratio.max() < 1.0
+
+
 def test_immovable_bounds_every_servo(scara: MonitoredArm) -> None:
     pushing = ServoSettings(bandwidth=60.0, computed_torque=True)
     rng = np.random.default_rng(6)
