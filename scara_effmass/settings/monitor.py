@@ -202,7 +202,9 @@ class MonitorSettings(FrozenSettings):
     )
     test_direction_frame: str = tunable("", "frame of test_direction, from the robot description; empty: the base")
     drives: Drives = tunable(
-        Drives.FREE, "drives during a contact: free (the standard, the paper), servo (they push on), or immovable"
+        Drives.SERVO,
+        "drives during a contact: servo (position control pushes on, as in most arms), free (joints that yield; the "
+        "standard, the paper), or immovable",
     )
     servo: ServoSettings = ServoSettings()
     external_force_limit: float = tunable(

@@ -38,7 +38,7 @@ COLUMNS = (
 
 @pytest.fixture
 def write_table(tmp_path: Path) -> Callable[[float], Path]:
-    """Write 200 impacts, 50 for each kind of drives and plate, of `default` and `servo`; two of them above the limit.
+    """Write 200 impacts, 50 for each kind of drives and plate, of `free` and `default`; two of them above the limit.
 
     The median of the worst plates is the argument.
     """
@@ -49,8 +49,8 @@ def write_table(tmp_path: Path) -> Callable[[float], Path]:
             for i in range(50):
                 index = 50 * number + i
                 robot = "UR5" if i % 2 else "i4-550L"
-                for setting in ("default", "servo"):
-                    above = i < 2 and (setting, drives, plate) == ("default", "free", "worst")
+                for setting in ("free", "default"):
+                    above = i < 2 and (setting, drives, plate) == ("free", "free", "worst")
                     ratio = 1.25 + 0.25 * i if above else median if plate == "worst" else 0.5
                     lines.append(
                         f"{index},{robot},tool,chest,{plate},{drives},5.0,0.7,2,{setting},0.5,{ratio},0.01,0.1"
@@ -64,11 +64,11 @@ def write_table(tmp_path: Path) -> Callable[[float], Path]:
 def test_shares_and_intervals(write_table: Callable[[float], Path]) -> None:
     evidence = Evidence(write_table(0.8))
     assert (evidence.impacts, evidence.robots, evidence.draws) == (200, ["i4-550L", "UR5"], 2.0)
-    group = evidence.group("default", "free", "worst")
+    group = evidence.group("free", "free", "worst")
     assert group is not None
     assert (group.impacts, group.above, group.share, group.worst, group.median) == (50, 2, 0.04, 1.5, 0.8)
     assert group.interval == pytest.approx((0.00488, 0.13714), abs=1e-5)  # Clopper and Pearson, 2 of 50
-    clean = evidence.group("servo", "computed_torque")
+    clean = evidence.group("default", "computed_torque")
     assert clean is not None
     assert clean.interval == pytest.approx((0.0, 1.0 - 0.025 ** (1.0 / 100.0)))
     assert evidence.group("paper", "free") is None
@@ -147,7 +147,7 @@ def test_worst_normal_gives_a_larger_force_than_a_random_one() -> None:
 def test_arm_whose_joints_would_saturate_keeps_the_limit(index: int) -> None:
     """Where the arm hit again, up to 2.2 times too hard: its saturated joints had run away from their reference."""
     assert draw_impact(1, index).drives == COMPUTED_TORQUE
-    (ratio,) = [row["ratio"] for row in simulate(1, index) if row["setting"] == "servo"]
+    (ratio,) = [row["ratio"] for row in simulate(1, index) if row["setting"] == "default"]
     assert 0.0 < float(ratio) < 1.0
 
 
