@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Contact of two masses through a linear spring (ISO/TS 15066:2016, Annex A): m_R, mu, F and E.
 
-The only implementation of these formulas; v_max, their inverse, is in `allowable_speed`.
+v_max, their inverse, is in `allowable_speed`. The kernel has them once more, compiled.
 """
 
 import math

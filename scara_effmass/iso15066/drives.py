@@ -16,10 +16,10 @@ from scara_effmass.settings import Drives, ServoSettings
 from scara_effmass.values import FloatArray
 
 MAX_MOBILITY = 20.0
-"""Mobility 1/m_n [1/kg] up to which servo contacts are simulated; a lighter robot counts as immovable."""
+"""Mobility 1/m_n [1/kg] up to which servo contacts are simulated; above it that of an immovable robot bounds them."""
 _MOBILITIES = np.geomspace(0.01, MAX_MOBILITY, 48)
 _TOUCHING = (0.0, 0.1, 0.5, 2.0, 8.0)
-"""Mobilities [1/kg] at which a hull keeps its highest line. Each line of a hull is a bound by itself."""
+"""Mobilities [1/kg]: of the lines of a hull, each a bound by itself, those that are highest at one of them are kept."""
 _STEP = 0.1
 """Time step of the simulation, times the larger of the angular frequencies of contact and servo."""
 _MARGIN = 1.03

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Admit joint states: order, stamp, range, velocities against positions, commands. Time is that of the header stamps.
+"""Admit joint states: order, stamp, range, velocities against positions, commands.
 
+Intervals are between header stamps; the ages of stamp and command are on the node's clock.
 The velocities are compared with the positions over WINDOW_S. The error of a joint is its displacement minus the
 integral of its signed velocity, high-passed. Velocities that lag behind the positions by tau cause an error of tau
-times the high-passed velocity. A wrong size or sign causes one in proportion to the low-passed velocity, which is
-uncorrelated with it, so a regression of the error on the high-passed velocity estimates tau alone.
+times the high-passed velocity. A wrong size or sign causes an error in proportion to the low-passed velocity. That is
+uncorrelated with the high-passed velocity, on which a regression of the error therefore estimates tau alone.
 """
 
 from __future__ import annotations

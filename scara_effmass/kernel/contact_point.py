@@ -41,8 +41,9 @@ from scara_effmass.values import NO_MOBILITY, ZERO_VECTOR, FloatArray, Mobility6
 class Approach(NamedTuple):
     """Motion of a contact point towards a contact.
 
-    `joints` joints come up to its own. `direction` is zero at rest, `normal` the fixed contact normal if there is one.
-    At least `share` of the speed counts along that. `tolerance` is that of the speed.
+    The first `joints` joints can move it. `place` [m], `velocity` and the `tolerance` of the speed [m/s] are in base
+    axes; `direction` is zero below the speed threshold. The part `share` of the speed counts along the fixed `normal`,
+    at least MIN_NORMAL_COMPONENT; it is 1 at rest and without a fixed normal.
     """
 
     joints: int
@@ -185,7 +186,7 @@ def fill_held_change(k: int, m: Mobility6, approach: Approach, held: Vector3, wo
 
 @inlined
 def drive_acceleration(count: int, setup: Setup, work: Work) -> float:
-    """Return the acceleration [m/s2] of the point that the effort limits allow at most; infinite if unknown."""
+    """Return an upper bound [m/s2] of the acceleration of the point under the effort limits; infinite if unknown."""
     largest = 0.0
     for j in range(setup.joints):
         if setup.effort[j] == math.inf:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Dynamics of one joint state: what does not depend on a contact point.
 
-Spatial vectors are about the place of their joint: moments about a far point would cancel. The Coriolis matrix C has
+Spatial vectors are about the origin of their joint: moments about a far point lose digits. The Coriolis matrix C has
 dM/dt = C + C^T (S. Echeandia and P. Wensing, "Numerical methods to compute the Coriolis matrix and Christoffel symbols
 for rigid-body systems", 2021), as Pinocchio's. M is U D U^T with a unit upper triangular U, so that U^T qd are
 velocities whose inertias D are not coupled.
@@ -56,7 +56,7 @@ from scara_effmass.values import ZERO_VECTOR, FloatArray, Mobility6, Vector3
 
 
 class Flow(NamedTuple):
-    """What a moving link does to a further motion (w, v) of it: force w x p and torque T^T w, with its momentum p."""
+    """Coriolis matrix B of a moving link: B (w, v) is the force w x p and the torque T^T w, with its momentum p."""
 
     momentum: Vector3
     torque: Matrix

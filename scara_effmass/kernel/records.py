@@ -197,7 +197,7 @@ FIELDS = {
     for name, kind in get_type_hints(ContactAssessment).items()
     if name not in _NOT_NUMBERS
 }
-"""Shape of each field of a contact, all float64, in order: texts are codes of `safety.reasons`, `reason` is as in
+"""Shape of each field of a contact, all float64, in order: texts are codes of `scara_effmass.codes`, `reason` is as in
 `state`."""
 _SIZES = [math.prod(shape) for shape in FIELDS.values()]
 PLACES = dict(zip(FIELDS, accumulate(_SIZES, initial=0), strict=False))

@@ -86,9 +86,10 @@ class Memory:
 
 @dataclass
 class JointMemory:
-    """Limits and comparison of one joint [rad, m]; `since_ns` is when its position last agreed with its velocity.
+    """Limits and comparison of one joint [rad, m].
 
-    From `error` on, all fades with WINDOW_S: displacement minus integral of the velocity; mean velocity; largest
+    `since_ns` is the stamp of its last disagreement, or of the start of the comparison, `since_position` its position
+    then. `error` to `allowance` fade with WINDOW_S: displacement minus integral of the velocity; mean velocity; largest
     difference between the velocity and its mean; error that its scale and its sampling explain.
     """
 

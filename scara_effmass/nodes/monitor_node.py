@@ -161,7 +161,7 @@ class MonitorNode(LifecycleBase):
         self.publish_last(Reason.DEACTIVATED)
 
     def publish_last(self, reason: Reason, detail: str = "") -> None:
-        """Publish UNKNOWN and a speed of 0, wait until subscribers have them, and publish nothing after it."""
+        """Publish UNKNOWN with a speed of 0 and nothing after it; wait a while for acknowledgements."""
         with self._output_lock:
             if not self._publishing or not self.context.ok():
                 return
@@ -197,7 +197,7 @@ class MonitorNode(LifecycleBase):
         self.get_logger().info(f"monitoring {robot.name} ({robot.origin}) at {', '.join(dynamics.contact_points)}")
         self.get_logger().info(f"payload: {monitor.payload_text}")
         for line in (*robot.notes, *missing_models(dynamics)):
-            if line != robot.rotors.warning:  # which the status of the model has
+            if line != robot.rotors.warning:  # which is in the status of the model
                 self.get_logger().info(line)
 
     def _on_joint_state(self, data: bytes, info: dict[str, Any]) -> None:
@@ -359,7 +359,7 @@ class MonitorNode(LifecycleBase):
         return f"cleared: {cause.verdict.name}: {cause_text(cause)}" if cause else "nothing was latched"
 
     def _on_clock_jump(self, jump: TimeJump) -> None:
-        """Take each step of /clock; system time gives none."""
+        """Pass each step of /clock on; forget the joint states if the clock goes back or changes its source."""
         with self._monitor_lock:
             if self._monitor is None:
                 return
@@ -367,7 +367,7 @@ class MonitorNode(LifecycleBase):
                 self._monitor.take_clock_step(jump.delta.nanoseconds)
                 return
             self._monitor.clear_history()
-        self.get_logger().info("the clock went back: the history of joint states is cleared")
+        self.get_logger().info("the clock went back or changed its source: the history of joint states is cleared")
 
     def _on_matched(self, matched: QoSSubscriptionMatchedInfo) -> None:
         if matched.current_count > 1:

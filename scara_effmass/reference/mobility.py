@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Mobility A = J_v M^-1 J_v^T [1/kg] of a contact point (the inverse of Eqs. 3-4): masses and impulses of a contact.
 
-All vectors are (3,), all matrices (3, 3), in base axes.
+Vectors are (3,) and matrices (3, 3), in base axes, but for `Mobility.values` (rank,) and `Mobility.axes` (3, rank).
 """
 
 from __future__ import annotations
@@ -52,7 +52,8 @@ class PoseChange:
     """Motion of a contact point after the first touch, while the joints move on.
 
     `speed` [m/s] is that along the direction of the contact, `mobility_rate` dA/dt [1/(kg s)]. `accelerations` [m/s2]
-    are those of the point with free joints, and with joints that keep their velocities.
+    are those of the point with free joints and at constant joint velocities, or the latter alone, if a controller holds
+    each joint; also their opposites where the contact may be passed either way.
     """
 
     speed: float
@@ -152,7 +153,7 @@ class Mobility:
         return max(float(self.direction @ w), 1.0 / along if along > 0.0 else 0.0)
 
     def worst_normal(self, alpha: float) -> FloatArray:
-        """Return the unit normal of that mass, along (alpha I + A)^-1 n; n itself where that is infinite."""
+        """Return the unit normal of the largest reduced mass, along (alpha I + A)^-1 n; n where that is infinite."""
         w = self.impulse(alpha)
         return w / np.linalg.norm(w) if np.isfinite(w).all() else self.direction
 

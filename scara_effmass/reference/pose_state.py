@@ -174,7 +174,7 @@ class ContactState:
         return Mobility.of_matrix(matrix, n, self.rank, PoseChange(self.speed, rate + rate.T, accelerations))
 
     def drive_acceleration(self) -> float:
-        """Return the largest acceleration [m/s2] of the point that the effort limits of the joints allow.
+        """Return an upper bound [m/s2] of the acceleration of the point under the effort limits of the joints.
 
         That is sum_i |J_v M^-1 e_i| (tau_max,i + |g_i(q)|) in the model with the larger sum; infinite if an effort
         limit is unknown. Gravity acts along -z of the base.
@@ -191,7 +191,8 @@ class ContactState:
         """Return the largest static force [N] along each unit vector in which a joint pushes.
 
         J_v^T n F + g(q) = tau with |tau_i| <= tau_max,i: the smallest (tau_max,i - s_i g_i) / |(J_v^T n)_i| over the
-        joints, s_i the sign of (J_v^T n)_i. Negative where the weight alone is too much for a joint.
+        joints, s_i the sign of (J_v^T n)_i. Negative where the weight alone is too much for a joint. Directions in
+        which no joint pushes are left out, so the list may be shorter than `directions`.
         """
         limits, forces = self.state.dynamics.robot.effort_limits, []
         for n in directions:
@@ -205,7 +206,8 @@ class ContactState:
     def clamping_force(self, directions: Sequence[FloatArray]) -> float:
         """Return the largest of the `static_forces` [N] along `directions`, 0 if no joint pushes.
 
-        Infinite without effort limits, and where they cannot carry the weight: then they are not those of the drives.
+        Infinite if no loaded joint has an effort limit, or if a limit is below the gravity effort of its joint: such a
+        limit cannot be that of the drive.
         """
         if (np.abs(self.state.gravity) > self.state.dynamics.robot.effort_limits).any():
             return math.inf

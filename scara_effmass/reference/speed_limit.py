@@ -39,8 +39,8 @@ def speed_limit(
 ) -> SpeedLimit:
     """Return the smallest allowable speed of all `cases` and all `mobilities`, the relative speed of robot and person.
 
-    For drives that push on there are two bounds, of which the milder one holds: their simulated reduced masses, up to
-    the contact force `max_force` [N], and free joints with the constant `push` of the effort limits.
+    With a `push`, two bounds of the force hold, so the one that allows the higher speed counts: the simulated servo, up
+    to the contact force `max_force` [N], and free joints under the constant force of `push`.
     """
     return min((_of_case(case, mobilities, push, max_force) for case in cases), key=_speed)
 
@@ -68,7 +68,7 @@ def _of_mobility(
 
 
 def _pushed(case: ContactCase, mobilities: Sequence[Mobility], push: DrivePush) -> SpeedLimit:
-    """Return the bound F = P + sqrt(P^2 + k mu u^2) of free joints and the push P: 0 if P alone is too much."""
+    """Return the bound F = P + sqrt(P^2 + k mu u^2) of free joints and the push P; 0 from 2 P = F on."""
     force = push.force(case.obstacle_mobility)
     square = case.force * (case.force - 2.0 * force)
     if not square > 0.0:

@@ -128,7 +128,7 @@ class Monitor:
         """Those of the reasons that are remembered."""
 
     def compile(self) -> None:
-        """Compile or load the kernel, by assessing one joint state without a trace. Raises KernelError.
+        """Compile the kernel or load it, by assessing TRIALS joint states on copies of the memory. Raises KernelError.
 
         Compare it with the reference, too, which reveals a faulty compiler or cache.
         """
@@ -287,7 +287,10 @@ class Monitor:
         rules["future_tolerance_ns"] = tolerance_ns + min(step_ns, int(rules["timeout_ns"][0]) // 2)
 
     def expect_commands(self, tolerance: float) -> None:
-        """Give UNKNOWN unless each position is within `tolerance` [rad] of the latest command, [m / 4] if prismatic."""
+        """Give UNKNOWN unless each position is within `tolerance` [rad] of the latest command; 0: do not compare.
+
+        For a prismatic joint the tolerance is METRES_PER_RADIAN times that [m].
+        """
         self._rules["expects_commands"] = tolerance > 0.0
         self._joints["command_tolerance"] = tolerance * self._per_joint
 
@@ -333,7 +336,7 @@ class Monitor:
         return None if assessments is None else assessments.decision(0)
 
     def assess_one(self, state: JointState, now_ns: int, sequence_number: int | None = None) -> Assessments | None:
-        """Return the same as an array of one."""
+        """Return the assessment of one joint state, as `assess`; None if it is of another device."""
         layout = self._layout(state.names, 1)
         if layout is None:
             return None
