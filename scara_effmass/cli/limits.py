@@ -20,7 +20,7 @@ from scara_effmass.iso15066 import (
     speed_limit_of_mass,
     transferred_energy,
 )
-from scara_effmass.settings import MonitorSettings
+from scara_effmass.settings import Drives, MonitorSettings
 
 _WIDE = 100
 """Columns from which the table has room for whole clauses."""
@@ -30,7 +30,7 @@ def run(args: argparse.Namespace) -> int:
     """Print the rows of the chosen regions, and the allowable speeds of the masses."""
     settings = monitor_settings(args)
     limits = limits_for(settings)
-    nominal = settings.model_copy(update={"stiffness_uncertainty": 0.0})
+    nominal = settings.model_copy(update={"stiffness_uncertainty": 0.0, "drives": Drives.FREE})
     # Without --region the table also has the regions without a limit for this type of contact.
     regions = [BODY_REGIONS[limit.region] for limit in limits] if settings.body_regions else list(BODY_REGIONS.values())
     names = {region.name for region in regions}
@@ -108,4 +108,4 @@ def _print_speeds(masses: list[float], limits: tuple[Limit, ...], settings: Moni
     print_table("Allowable speed [mm/s] and the limit that sets it", headings, rows)
     person = "clamped body part" if math.isinf(limits[0].body_mass_kg) else "body part free to recoil"
     area = f"contact area {limits[0].contact_area_cm2:g} cm²"
-    printer().print(f"{limits[0].contact.value} contact, {person}; {area}; drives {settings.drives.value}")
+    printer().print(f"{limits[0].contact.value} contact, {person}; {area}; joints free")

@@ -109,14 +109,15 @@ def contact_cases(limits: Iterable[Limit], settings: MonitorSettings | None = No
     stiffness = tuple(limit.stiffness_n_m * (1.0 + settings.stiffness_uncertainty) for limit in limits)
     masses = tuple(limit.body_mass_kg for limit in limits)
 
-    def drive_time(limit: Limit, k: float) -> float | None:
+    def drive_time(limit: Limit) -> float | None:
+        """Return that of the nominal stiffness: a softer contact lasts longer."""
         if settings.drives is Drives.FREE:
             return None
         is_clamped = math.isinf(limit.body_mass_kg)
-        return settings.servo.stopping_time if is_clamped else contact_time(limit.body_mass_kg, k)
+        return settings.servo.stopping_time if is_clamped else contact_time(limit.body_mass_kg, limit.stiffness_n_m)
 
     cases = [
-        ContactCase(limit, k, lines, drive_time(limit, k))
+        ContactCase(limit, k, lines, drive_time(limit))
         for limit, k, lines in zip(
             limits, stiffness, contact_lines(settings.drives, settings.servo, stiffness, masses), strict=True
         )

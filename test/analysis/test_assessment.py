@@ -108,7 +108,7 @@ def test_a_former_recording_holds_the_same_assessments() -> None:
     former_names = {"body_mass": "obstacle_mass"}
     with open_bag(ROOT / "test" / "recordings" / "former_contact_state.mcap") as bag:
         former = map(bag.deserialize, bag.messages(["/contact_state"]))
-        for row in assessed_rows(bag, "/joint_states", Monitor(SCARA, MonitorSettings())):
+        for row in assessed_rows(bag, "/joint_states", Monitor(SCARA, MonitorSettings(drives="free"))):
             for contact in row.decision.contacts:
                 recorded = next(former)
                 assert (recorded.contact_point, recorded.verdict) == (contact.contact_point, contact.verdict)

@@ -11,7 +11,7 @@ from scara_effmass.cell.speed_scaling import SpeedScaler
 from scara_effmass.model.load import load_robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
-from scara_effmass.settings import MonitorSettings
+from scara_effmass.settings import Drives, MonitorSettings
 from scara_effmass.share import share
 from scara_effmass.sim.motion import sample_moves
 from scara_effmass.studies.shipped_bags import tour_moves
@@ -21,7 +21,7 @@ RATE_HZ = 250
 PERIOD_S = 1.0 / RATE_HZ
 PERIOD_NS = 1_000_000_000 // RATE_HZ
 JOINTS = ("joint1", "joint2", "joint3", "joint4")
-SETTINGS = MonitorSettings(contact_points=("tool",))
+SETTINGS = MonitorSettings(contact_points=("tool",), drives=Drives.FREE)
 
 
 class Run(NamedTuple):

@@ -22,7 +22,7 @@ from scara_effmass.iso15066 import (
     speed_limit_of_mass,
     transferred_energy,
 )
-from scara_effmass.settings import ContactType, MonitorSettings
+from scara_effmass.settings import ContactType, Drives, MonitorSettings
 
 if TYPE_CHECKING:
     from scara_effmass.iso15066 import (
@@ -45,7 +45,7 @@ any_limit = st.builds(
 
 
 def speed_limit_of(mass: float, **settings: object) -> SpeedLimit:
-    checked = MonitorSettings.model_validate(settings)
+    checked = MonitorSettings.model_validate({"drives": "free", **settings})
     return speed_limit_of_mass(limits_for(checked), mass, checked)
 
 
@@ -83,7 +83,7 @@ def test_governing_limits_give_the_speed_of_all_limits(
     limits: tuple[Limit, ...], mass: float, uncertainty: float
 ) -> None:
     expected = smallest_speed(limits, mass, uncertainty)
-    settings = MonitorSettings(stiffness_uncertainty=uncertainty)
+    settings = MonitorSettings(stiffness_uncertainty=uncertainty, drives=Drives.FREE)
     assert speed_limit_of_mass(limits, mass, settings).allowable_speed == pytest.approx(expected, rel=1e-9, abs=1e-12)
 
 
@@ -91,7 +91,9 @@ def test_governing_limits_give_the_speed_of_all_limits(
 def test_speed_is_that_of_the_standards_table(
     contact: ContactType, area: float, mass: float, uncertainty: float
 ) -> None:
-    settings = MonitorSettings(contact=contact, contact_area_m2=1e-4 * area, stiffness_uncertainty=uncertainty)
+    settings = MonitorSettings(
+        contact=contact, contact_area_m2=1e-4 * area, stiffness_uncertainty=uncertainty, drives=Drives.FREE
+    )
     limits = limits_for(settings)
     expected = smallest_speed(limits, mass, uncertainty)
     assert speed_limit_of_mass(limits, mass, settings).allowable_speed == pytest.approx(expected, rel=1e-12, abs=1e-12)

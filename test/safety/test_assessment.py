@@ -682,7 +682,7 @@ def test_weakest_axis_of_a_robot_at_rest_limits_computed_torque(
 
 
 def test_unknown_effort_limits_give_no_clamping_force(scara: RobotDynamics) -> None:
-    contact = assess_one(scara, (0.3, 1.2, 0.1, 0.0), (0.1,) * 4, contact="quasi_static")
+    contact = assess_one(scara, (0.3, 1.2, 0.1, 0.0), (0.1,) * 4, contact="quasi_static", drives="free")
     assert contact.verdict is Verdict.UNKNOWN
     assert contact.reason.startswith("the clamping force is unknown")
     assert (contact.clamping_force, contact.allowable_speed) == (0.0, 0.0)
@@ -762,7 +762,7 @@ def test_robot_at_rest_clamps_along_its_strongest_axis(scara_variant: Variant) -
     efforts = {"joint1": 5.0, "joint2": 5.0, "joint3": 500.0, "joint4": 5.0}
     robot = scara_variant(lambda file: [joint.update(max_effort=efforts[joint["name"]]) for joint in file["joints"]])
     q = (0.3, 1.2, 0.1, 0.0)
-    contact = assess_one(robot, q, (1e-6,) * 4, contact="quasi_static")
+    contact = assess_one(robot, q, (1e-6,) * 4, contact="quasi_static", drives="free")
     assert contact.worst_direction_used
     vertical = [contact_at(robot, q).clamping_force([np.array((0.0, 0.0, sign))]) for sign in (1.0, -1.0)]
     assert contact.clamping_force == pytest.approx(max(vertical))
@@ -773,7 +773,7 @@ def test_fixed_normal_clamps_along_both_its_senses(scara_variant: Variant, norma
     """Downwards the weight of the arm pushes, too."""
     robot = scara_variant(lambda file: [joint.update(max_effort=500.0) for joint in file["joints"]])
     q, text = (0.3, 1.2, 0.1, 0.0), " ".join(map(str, normal))
-    contact = assess_one(robot, q, (0.1,) * 4, contact="quasi_static", contact_normal=text)
+    contact = assess_one(robot, q, (0.1,) * 4, contact="quasi_static", contact_normal=text, drives="free")
     x, y, z = normal
     there, back = (contact_at(robot, q).clamping_force([np.array(n)]) for n in (normal, (-x, -y, -z)))
     assert (abs(there - back) > 10.0) == (z != 0.0)
@@ -838,14 +838,14 @@ def test_placeholder_masses_give_unknown(scara_variant: Variant) -> None:
 
 def test_speed_exactly_at_the_allowable_speed_is_no_violation(scara: RobotDynamics) -> None:
     q, qd = (0.3, 1.2, 0.1, 0.0), (1.5, 0.4, 0.01, 0.1)
-    alone = assess_one(scara, q, qd)
+    alone = assess_one(scara, q, qd, drives="free")
     # Between a/2 and a the difference a - v is exact, and so is the allowable speed a - (a - v) = v.
     assert 0.5 * alone.allowable_speed < alone.speed < alone.allowable_speed
     closing = alone.allowable_speed - alone.speed
-    equal = assess_one(scara, q, qd, person_speed=closing, warn_ratio=1.0)
+    equal = assess_one(scara, q, qd, person_speed=closing, warn_ratio=1.0, drives="free")
     assert equal.allowable_speed == equal.speed
     assert equal.verdict is Verdict.OK
-    above = assess_one(scara, q, qd, person_speed=closing + 1e-9, warn_ratio=1.0)
+    above = assess_one(scara, q, qd, person_speed=closing + 1e-9, warn_ratio=1.0, drives="free")
     assert above.verdict is Verdict.VIOLATION
 
 
