@@ -71,7 +71,11 @@ def bag(tmp_path: Path) -> Path:
 
 @final
 class Receiver:
-    """Node in its own thread that records messages."""
+    """Node in its own thread that records messages.
+
+    It reports that it is ready once it has discovered the replay: the replay discovers it earlier or later. Another
+    `readiness` is reported as it is.
+    """
 
     TYPES: Mapping[str, Any] = {
         "/clock": Clock,
@@ -84,7 +88,7 @@ class Receiver:
         self.received: dict[str, list[bytes]] = {topic: [] for topic in topics}
         self._decoder = JointStateDecoder()
         self._changed = threading.Condition()
-        self._matched = threading.Event()
+        self._matched: set[str] = set()
         self._stop = Future()
         self._stack = ExitStack()
         self._node = self._stack.enter_context(ros_node("receiver"))
@@ -97,11 +101,12 @@ class Receiver:
                 partial(self._on_message, topic),
                 LATCHED if topic in LATCHED_TOPICS else DEEP,
                 raw=True,
-                event_callbacks=SubscriptionEventCallbacks(matched=lambda _: self._matched.set()),
+                event_callbacks=SubscriptionEventCallbacks(matched=partial(self._on_matched, topic)),
             )
-        if readiness is not None:
-            reports = self._node.create_publisher(NodeReadiness, READINESS, DEEP)
-            self._node.create_timer(0.05, lambda: reports.publish(readiness))
+        self._reports_itself = readiness is None
+        self._readiness = readiness or NodeReadiness(node="/receiver", peers=["/receiver"])
+        reports = self._node.create_publisher(NodeReadiness, READINESS, DEEP)
+        self._node.create_timer(0.05, lambda: reports.publish(self._readiness))
         self._executor = EventsExecutor(context=self._node.context)
         self._executor.add_node(self._node)
         self._thread = threading.Thread(target=self._spin)
@@ -115,7 +120,8 @@ class Receiver:
 
     def wait_matched(self) -> None:
         """Wait for a publisher of one of the topics."""
-        assert self._matched.wait(TIMEOUT_S)
+        with self._changed:
+            assert self._changed.wait_for(lambda: bool(self._matched), TIMEOUT_S)
 
     def states(self, count: int) -> list[JointState]:
         return [self._decoder.decode(data) for data in self.wait("/joint_states", count)]
@@ -143,6 +149,13 @@ class Receiver:
 
     def _spin(self) -> None:
         self._executor.spin_until_future_complete(self._stop, timeout_sec=1e6)
+
+    def _on_matched(self, topic: str, _: object) -> None:
+        with self._changed:
+            self._matched.add(topic)
+            self._changed.notify_all()
+        if self._reports_itself:
+            self._readiness.active = self._matched == self.received.keys()
 
     def _on_message(self, topic: str, data: bytes) -> None:
         with self._changed:
