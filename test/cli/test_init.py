@@ -89,6 +89,7 @@ def test_file_holds_the_options_and_the_meaning_of_each_parameter(cli: Cli, moti
         body_regions=("chest", "hand_fingers"),
         contact_area_m2=2e-4,
         person_speed=0.2,
+        accept_assumptions=("rotor_inertia",),  # which neither file nor options state
     )
     validator = load_settings(ValidatorSettings, file, "validator")
     assert (validator.body_regions, validator.contact_area_m2) == (("chest", "hand_fingers"), 2e-4)
