@@ -203,7 +203,8 @@ def test_existing_file_is_kept_without_force(cli: Cli, refused: Refused, tmp_pat
     (tmp_path / "cell.yaml").write_text("mine", encoding="utf-8")
     assert refused("init") == "cell.yaml: already exists; use --force to replace it"
     assert cli("init", "--force").returncode == 0
-    assert load_settings(MonitorSettings, tmp_path / "cell.yaml", "monitor") == MonitorSettings()
+    written = load_settings(MonitorSettings, tmp_path / "cell.yaml", "monitor")
+    assert written == MonitorSettings(contact_points=("tool", "elbow"))
 
 
 class Terminal(io.StringIO):
