@@ -162,7 +162,7 @@ def deciding_mass(dynamics: RobotDynamics, model: MassModel) -> str:
     if model is not MassModel.AUTO:
         return sources[model]
     if not dynamics.full_reason:
-        return full if dynamics.lumped is None else f"{lumped}, {full} where it is heavier"
+        return full if dynamics.lumped is None else f"{lumped}, {full} where lumped is too light (model_margin)"
     missing = f"no full mass: {dynamics.full_reason}"
     if dynamics.lumped is None:
         return f"{iso}: {missing}"

@@ -194,4 +194,4 @@ def test_first_lines_say_what_is_assumed_and_which_options_state_it(new_harness:
         assert option in assumed
     assert "--person-speed" not in assumed
     assert any("accepted assumptions: person_speed" in line for line in lines)
-    assert any("deciding mass: full from masses" in line for line in lines)
+    assert any("deciding mass: lumped from masses" in line for line in lines)
