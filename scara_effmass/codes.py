@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Codes of reasons, mass models and criteria: numbers in arrays and messages; `safety.reasons` makes their texts."""
+"""Codes of reasons, assumptions, models and criteria in arrays and messages; `safety.reasons` makes their texts."""
 
 from enum import IntEnum
 
@@ -53,6 +53,7 @@ class Reason(IntEnum):
     TOO_FAST = 60  # values: speed, allowable speed [m/s], criterion, body region, those of LIGHT_MODEL
     NEAR_LIMIT = 61  # the same
     LIGHT_MODEL = 62  # values: four zeros, mass, best mass [kg]
+    ASSUMED = 63
     CLAMPED = 65  # values: force [N]
     KERNEL_DISAGREES = 70  # detail: field
     TOO_SLOW = 71  # values: duration [s]
@@ -67,6 +68,19 @@ class Reason(IntEnum):
     TWO_MONITORS = 101
     MONITOR_SILENT = 102  # values: duration [s]
     NO_CONTACT_STATES = 103
+
+
+class Assumption(IntEnum):
+    """What an assessment assumes unless it is stated; `safety.assumptions` has the table of them."""
+
+    PAYLOAD = 1
+    ROTOR_INERTIA = 2
+    DRIVES = 3
+    CONTACT_AREA = 4
+    CONTACT_SURFACE = 5
+    PERSON_SPEED = 6
+    CONTACT_POINTS = 7
+    MASSES = 8
 
 
 class ModelCode(IntEnum):

@@ -11,7 +11,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scara_effmass.codes import Reason
+from scara_effmass.codes import Assumption, Reason
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -150,7 +150,8 @@ class Decision(NamedTuple):
     `contact_normal` is empty where nothing was computed. `watchdog`: it answers no joint state, because none came in
     time or the monitor ended. There is at least one contact, without a name if there is no robot. `allowable_speed`
     [m/s] and `speed_scaling` [0-1] are the minima over the contacts, 0 if one is UNKNOWN. `sequence_number` counts the
-    messages of one monitor; 0: not published.
+    messages of one monitor; 0: not published. `assumptions` are those that nothing states, except for those that the
+    settings accept. `scope` says what an OK covers.
     """
 
     stamp_ns: int
@@ -162,6 +163,9 @@ class Decision(NamedTuple):
     allowable_speed: float
     speed_scaling: float
     sequence_number: int = 0
+    assumptions: tuple[Assumption, ...] = ()
+    accepted_assumptions: tuple[Assumption, ...] = ()
+    scope: str = ""
 
     @property
     def worst(self) -> ContactAssessment:

@@ -11,6 +11,7 @@ from scara_effmass.codes import Reason
 from scara_effmass.kernel.records import CONTACT, FIELDS
 from scara_effmass.kernel.state import CODE, DETAIL, STATE
 from scara_effmass.safety import Assessments
+from scara_effmass.safety.assumptions import Assumptions
 from scara_effmass.safety.reasons import CRITERIA, MODELS, ReasonTexts
 from scara_effmass.values import ContactAssessment, Decision, Verdict
 
@@ -39,6 +40,7 @@ def assessments_of(*decisions: Decision) -> Assessments:
     texts = ReasonTexts(
         regions=tuple(dict.fromkeys(["", *(contact.body_region for contact in contacts)])),
         whys=tuple(dict.fromkeys(["", *(contact.mass_model_reason for contact in contacts)])),
+        scope=decisions[0].scope,
     )
     details = list(dict.fromkeys(["", *(contact.reason for contact in contacts)]))
     numbers = np.zeros((len(decisions), len(decisions[0].contacts), CONTACT.itemsize // 8))
@@ -60,7 +62,9 @@ def assessments_of(*decisions: Decision) -> Assessments:
         state["verdict"], state["contact"] = decision.verdict, decision.contacts.index(decision.worst)
         state["allowable_speed"], state["speed_scaling"] = decision.allowable_speed, decision.speed_scaling
     points = tuple(contact.contact_point for contact in decisions[0].contacts)
-    return Assessments(states.view(np.uint8), numbers, points, decisions[0].contact_normal, details, texts)
+    assumptions = Assumptions(decisions[0].assumptions, decisions[0].accepted_assumptions)
+    normal = decisions[0].contact_normal
+    return Assessments(states.view(np.uint8), numbers, points, normal, details, texts, assumptions)
 
 
 def states_of(

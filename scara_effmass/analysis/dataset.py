@@ -157,6 +157,7 @@ def assess_part(
     """
     content = _hash_of(path)
     inputs = [content, task.settings.model_dump_json(), digest(Path(task.settings.robot_path), BagError), __version__]
+    inputs += sorted(task.settings.model_fields_set)  # the others are assumed
     inputs += [task.time.value, str(task.topic), cell, _hash_of(task.velocity_bag) if task.velocity_bag else ""]
     key = hashlib.sha256(json.dumps(inputs).encode()).hexdigest()
     file = folder / RECORDS / f"{content[:16]}.json"

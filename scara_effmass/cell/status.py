@@ -13,6 +13,7 @@ from typing import NamedTuple, final
 import numpy as np
 
 from scara_effmass.codes import Reason
+from scara_effmass.safety.assumptions import Assumptions
 from scara_effmass.safety.reasons import plain_text
 from scara_effmass.values import (
     ContactAssessment,
@@ -152,6 +153,19 @@ class CellStatus:
     def contacts(self) -> tuple[ContactAssessment, ...]:
         """The contacts of the latest decision."""
         return self.decision.contacts if self.decision is not None else ()
+
+    @property
+    def scope(self) -> str:
+        """What an OK covers; empty without a decision."""
+        return self.decision.scope if self.decision is not None else ""
+
+    @property
+    def assumed(self) -> str:
+        """What the monitor assumes and which options state it, and what its settings accept, in one line."""
+        if self.decision is None or self.verdict is Verdict.UNKNOWN:
+            return ""
+        assumptions = Assumptions(self.decision.assumptions, self.decision.accepted_assumptions)
+        return "; ".join(text for _, text in assumptions.lines)
 
     def take_decision(self, decision: Decision, at_ns: int) -> None:
         """Take a decision; a number that does not increase is that of another monitor.

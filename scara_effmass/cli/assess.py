@@ -21,8 +21,10 @@ from scara_effmass.cli.console import print_result
 from scara_effmass.cli.options import load_dynamics, monitor_settings
 from scara_effmass.cli.tasks import SMALL_BYTES, Advance, Run, open_run, sound
 from scara_effmass.errors import CrossCheckError, EffmassError, SettingsError
+from scara_effmass.model.robot import Robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
+from scara_effmass.safety.assumptions import assumptions_of, scope
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.url import Url
 
@@ -97,9 +99,16 @@ def assess(
                     title = f"{robot.name}: {name or path.name}"
                     report.add(series, point, title, generated=result.generated, forces=result.force)
         notes, results = supplement(counts)
-        lines = [*notes, *_lines(counts, input_notes, summary, robot.rotors.warning, losses, unreadable)]
+        lines = [*notes, *_lines(counts, input_notes, summary, robot, settings, losses, unreadable)]
         printed = {"output": str(args.output), **results, **counts, **summary.as_dict()}
-        printed |= {"losses": losses, "robot_notes": list(robot.notes), "unreadable": unreadable, "input": input_notes}
+        printed |= {
+            "scope": scope(robot, settings),
+            "assumptions": assumptions_of(robot, settings).as_dict(),
+            "losses": losses,
+            "robot_notes": list(robot.notes),
+            "unreadable": unreadable,
+            "input": input_notes,
+        }
         if report:
             others = f" + {len(paths) - 1}" if len(paths) > 1 else ""
             printed = report.write(f"{robot.name}: {name or paths[0].name}{others}", lines, printed, paths)
@@ -189,7 +198,8 @@ def _lines(
     counts: Mapping[str, int],
     input_notes: Sequence[tuple[str, str]],
     summary: Summary,
-    robot_warning: str,
+    robot: Robot,
+    settings: MonitorSettings,
     losses: Sequence[str],
     unreadable: Sequence[str],
 ) -> Iterator[tuple[str, str]]:
@@ -202,8 +212,11 @@ def _lines(
         yield "no verdict", problem if counts["joint_states"] else "there was no joint state to read"
     if counts["refused"]:
         yield "rejected", f"{counts['refused']} joint states (UNKNOWN)"
-    if robot_warning:
-        yield "robot", robot_warning
+    if robot.rotors.warning:
+        yield "robot", robot.rotors.warning
+    yield "an OK covers", scope(robot, settings)
+    for _, text in assumptions_of(robot, settings).lines:
+        yield "assumed", text
     for loss in losses:
         yield "not read", loss
     for error in unreadable:

@@ -149,6 +149,10 @@ def screen(status: CellStatus, now_ns: int, name: str, width: int, height: int) 
     parts.append(figures)
     if status.reason:
         parts.append(Text(status.reason, style="bold"))
+    if verdict is Verdict.OK:
+        parts.append(Text(status.scope))
+    if status.assumed:
+        parts.append(Text(f"assumed: {status.assumed}"))
     if is_unknown:
         parts.append(Text(f"remedy: {remedy(status.reason_code)}"))
     past = next((episode for episode in reversed(status.episodes) if episode.end_ns is not None), None)

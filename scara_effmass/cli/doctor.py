@@ -23,6 +23,7 @@ from scara_effmass.cli.options import load_dynamics, monitor_settings
 from scara_effmass.codes import ModelCode
 from scara_effmass.errors import DaqError, LimitError, RobotError, SettingsError
 from scara_effmass.iso15066 import EDITION, TABLE_HASH, limits_for
+from scara_effmass.safety.assumptions import assumptions_of, deciding_mass, mass_source, scope
 from scara_effmass.settings import DaqSettings, ForceSourceKind, MassModel, MonitorSettings, load_settings
 
 if TYPE_CHECKING:
@@ -76,7 +77,8 @@ def cell_results(settings: MonitorSettings) -> tuple[list[CheckResult], RobotDyn
         text = f"by topic {settings.payload_topic}, not in the masses here; UNKNOWN until it arrives"
         results.append(CheckResult("note", "payload", text))
     results += [*_robot(dynamics), *_comparison(dynamics, settings.model_margin)]
-    return [*results, _mass_model(dynamics, settings.effective_mass_model)], dynamics
+    results.append(_mass_model(dynamics, settings.effective_mass_model))
+    return [*results, *_assumptions(dynamics, settings)], dynamics
 
 
 def _installation() -> Iterator[CheckResult]:
@@ -247,8 +249,20 @@ def _mass_model(dynamics: RobotDynamics, model: MassModel) -> CheckResult:
         models = (name.value for name, reason in problems.items() if not reason and name is not MassModel.LARGEST)
         remedy = f"this model does not exist for this robot; choose {' or '.join(models)}"
     else:
-        return CheckResult("ok", "effective_mass_model", model.value)
+        level = "note" if mass_source(dynamics.robot) else "ok"
+        return CheckResult(level, "effective_mass_model", f"{model.value}: {deciding_mass(dynamics, model)}")
     return CheckResult("wrong", "effective_mass_model", f"{model.value}: every verdict will be UNKNOWN: {remedy}")
+
+
+def _assumptions(dynamics: RobotDynamics, settings: MonitorSettings) -> Iterator[CheckResult]:
+    """Yield what is assumed, and what an OK covers."""
+    assumptions = assumptions_of(dynamics.robot, settings)
+    for name, text in assumptions.lines:
+        yield CheckResult("note", f"assumed: {name}", text)
+    if assumptions.limiting:
+        yield CheckResult("note", "an OK", "none while these are assumed: state them, or accept them by name")
+    else:
+        yield CheckResult("ok", "an OK covers", scope(dynamics.robot, settings))
 
 
 def _joints(dynamics: RobotDynamics) -> list[dict[str, Any]]:

@@ -20,15 +20,18 @@ from scara_effmass.bags.files import open_bag
 from scara_effmass.cli.console import print_lines, progress_bar
 from scara_effmass.cli.doctor import cell_results
 from scara_effmass.cli.options import Option, monitor_settings, options_of
+from scara_effmass.codes import Assumption
 from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.iso15066 import BODY_REGIONS
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
+from scara_effmass.safety.assumptions import Assumptions, assumptions_of, name_of
 from scara_effmass.settings import DaqSettings, MonitorSettings, ValidatorSettings
 from scara_effmass.settings.loading import flat_fields
 from scara_effmass.wire.topics import JOINT_STATES
 
-UNASKED = {"payload_topic", "joint_names", "joint_limits", "velocity_source", "velocity_window"}
+UNASKED = {"payload_topic", "joint_names", "joint_limits", "velocity_source", "velocity_window", "contact_normal"}
+UNASKED |= {"armature", "drives", "accept_assumptions"}
 """Options that few cells need."""
 SHOWN = ["robot", "joint_map", "joint_names", "contact_points", "payload_mass", "payload_com", "payload_inertia"]
 SHOWN += ["tool_links", "armature"]
@@ -42,6 +45,7 @@ def run(args: argparse.Namespace) -> int:
     settings, dynamics = _checked(args)
     if sys.stdin.isatty():
         settings, dynamics = _interview(args, settings, dynamics)
+    settings, assumptions = _stated(settings, dynamics)
     lines = [("robot", dynamics.robot.origin), ("contact points", ", ".join(dynamics.contact_points))]
     unknown = False
     notes = [
@@ -56,8 +60,25 @@ def run(args: argparse.Namespace) -> int:
             notes.append(f"Joint states of {args.bag}: monitor --params FILE -- -r joint_states:={topic}")
     with atomic_file(args.output, overwrite=args.force) as path:
         path.write_text(_cell(settings, notes), encoding="utf-8")
+    lines += [("assumed", text) for _, text in assumptions.lines]
     print_lines([*lines, ("written", args.output), ("next", f"scara-effmass doctor --params {args.output}")])
     return 1 if unknown else 0
+
+
+def _stated(settings: MonitorSettings, dynamics: RobotDynamics) -> tuple[MonitorSettings, Assumptions]:
+    """Return `settings` that state what the file holds and accept an unknown rotor inertia, and what is assumed."""
+    values = {name: getattr(settings, name) for name in _cell_names() if name in MonitorSettings.model_fields}
+    values["contact_points"] = settings.contact_points or dynamics.contact_points
+    stated = settings.model_copy(update=values)
+    if Assumption.ROTOR_INERTIA in assumptions_of(dynamics.robot, stated).assumed:
+        accepted = (*settings.accept_assumptions, name_of(Assumption.ROTOR_INERTIA))
+        stated = stated.model_copy(update={"accept_assumptions": accepted})
+    return stated, assumptions_of(dynamics.robot, stated)
+
+
+def _cell_names() -> list[str]:
+    """Return the parameters of the monitor in the file."""
+    return [*(option.dest for option in options_of("cell")), "tool_links"]
 
 
 def _checked(args: argparse.Namespace) -> tuple[MonitorSettings, RobotDynamics]:
@@ -137,9 +158,9 @@ def _cell(settings: MonitorSettings, notes: Sequence[str]) -> str:
     """Return the file: `notes`, and a section per node with each parameter below its description."""
     values = settings.model_dump(mode="json")
     values["sensor.sensitivity"] = DaqSettings().sensor.sensitivity
-    cell = [option.dest for option in options_of("cell")]
+    cell = _cell_names()
     sections: dict[str, tuple[type[BaseModel], list[str]]] = {
-        "monitor": (MonitorSettings, [*cell, "tool_links", "armature", "drives"]),
+        "monitor": (MonitorSettings, cell),
         "validator": (ValidatorSettings, ["robot", *(name for name in cell if name in ValidatorSettings.model_fields)]),
         "daq": (DaqSettings, ["sensor.sensitivity"]),
         "visualization": (MonitorSettings, SHOWN),

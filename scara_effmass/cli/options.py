@@ -167,7 +167,7 @@ def selected(args: argparse.Namespace, *groups: str) -> dict[str, Any]:
 def override(settings: Settings, chosen: dict[str, Any]) -> Settings:
     """Return `settings` changed to the `chosen` values that are not None. Raises SettingsError."""
     changes = {name: value for name, value in chosen.items() if value is not None}
-    return checked(type(settings), {**settings.model_dump(), **changes}, "options")
+    return checked(type(settings), {**settings.model_dump(exclude_unset=True), **changes}, "options")
 
 
 def load_dynamics(settings: MonitorSettings) -> RobotDynamics:

@@ -31,7 +31,6 @@ _SHAPES = {
     Verdict.VIOLATION: '<path d="M32 6h36l26 26v36L68 94H32L6 68V32z"/><path d="M33 33l34 34M67 33L33 67"/>',
     Verdict.UNKNOWN: '<path d="M50 4l46 46-46 46L4 50z"/><path d="M38 40c0-18 25-17 25-1 0 11-13 11-13 22M50 73v2"/>',
 }
-_ALL_OK = "Every contact point is slower than its allowable speed."
 _LEVELS = ("OK", "WARN", "ERROR", "STALE")
 _DIAGNOSTICS_AGE_NS = 5_000_000_000
 _SPEED_COLOR, _LIMIT_COLOR, _GRID = "#17202a", "#c2410c", {"left": 50, "right": 16, "top": 34, "bottom": 42}
@@ -107,6 +106,7 @@ class Page:
                 self._word = ui.label().classes("word").props("role=status aria-live=assertive")
                 self._reason = ui.label().classes("reason")
                 self._remedy = ui.label().classes("remedy")
+                self._assumed = ui.label().classes("remedy")
             self._now = _html("", "now")
         # page.js shows this while the server is silent.
         with ui.element("section").classes("verdict gone UNKNOWN").props('aria-label="Verdict without connection"'):
@@ -125,7 +125,9 @@ class Page:
             self._icon.content = _icon(verdict)
             self._word.text = verdict.name
         is_ok = verdict is Verdict.OK
-        self._reason.text = _ALL_OK if is_ok else f"{status.contact_point}: {status.reason}".strip(": ")
+        reason = status.scope if is_ok else f"{status.contact_point}: {status.reason}".strip(": ")
+        self._reason.text = reason[:1].upper() + reason[1:]
+        self._assumed.text = f"Assumed: {status.assumed}." if status.assumed else ""
         advice = remedy(status.reason_code)
         self._remedy.text = f"Remedy: {advice}.".replace("`", "") if advice else ""
         self._now.content = _speed_html(status)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From verdicts on single joint states to those that are published: debouncing, first cause, latch, and minima.
+"""From verdicts on single joint states to those that are published: assumptions, debouncing, cause, latch and minima.
 
 A worse verdict shows at once. A better one shows after the release time, in which the worse one is held.
 """
@@ -10,6 +10,7 @@ import math
 from typing import Any
 
 from scara_effmass import values
+from scara_effmass.codes import Reason
 from scara_effmass.kernel.jit import compiled, inlined
 from scara_effmass.kernel.records import CONTACT, ByteArray, Contact
 from scara_effmass.kernel.state import (
@@ -24,11 +25,12 @@ from scara_effmass.kernel.state import (
     Memory,
     State,
     copy_reason,
+    set_reason,
 )
 from scara_effmass.values import FloatArray, Verdict
 
-UNKNOWN, OK, VIOLATION = int(Verdict.UNKNOWN), int(Verdict.OK), int(Verdict.VIOLATION)
-WORST_FIRST = UNKNOWN, VIOLATION, int(Verdict.WARN)
+UNKNOWN, OK, WARN, VIOLATION = int(Verdict.UNKNOWN), int(Verdict.OK), int(Verdict.WARN), int(Verdict.VIOLATION)
+WORST_FIRST = UNKNOWN, VIOLATION, WARN
 
 
 severity = inlined(values.severity)
@@ -139,6 +141,9 @@ def settle(
                 debouncer.is_stale = 1
                 copy_reason(state.reason, debouncer.stale_reason)
             if state.is_admitted != 0:
+                if rules.is_assumed and int(contact.verdict) == OK:
+                    contact.verdict = WARN
+                    set_reason(contact.reason, Reason.ASSUMED, 0, 0.0, 0.0, 0.0)
                 debounce(contact, state.stamp_ns, rules.release_ns, debouncer)
             else:
                 for field in range(len(unknown)):

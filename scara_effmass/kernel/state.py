@@ -44,7 +44,10 @@ class State:
 
 @dataclass
 class Rules:
-    """Settings of admission, debouncing and latch; `payload_detail`: the text why the payload is unknown, 0 if not."""
+    """Settings of admission, debouncing and latch.
+
+    `payload_detail`: the text why the payload is unknown, 0 if not. `is_assumed`: an assumption allows no OK.
+    """
 
     timeout_ns: int
     future_tolerance_ns: int
@@ -56,6 +59,7 @@ class Rules:
     release_ns: int
     latches: bool
     reference_speed: float
+    is_assumed: bool
 
 
 @dataclass

@@ -16,6 +16,7 @@ import numpy as np
 import pinocchio as pin
 import yaml
 
+from scara_effmass.codes import Assumption
 from scara_effmass.errors import RobotError
 from scara_effmass.share import share
 from scara_effmass.values import FloatArray, Vector3
@@ -74,7 +75,8 @@ class RobotDescription:
 
     `model` has one degree of freedom per joint; its bodies include the payload of the file, `payload_mass` [kg], but no
     rotors. `contact_points` are names with the joint that moves each point and its pose in the frame of that joint.
-    `tip` is the end of the last link in the last joint's frame. `origin` names the file in errors.
+    `tip` is the end of the last link in the last joint's frame. `origin` names the file in errors, and `stated` is what
+    the file states of the assumptions.
     """
 
     origin: str
@@ -86,6 +88,7 @@ class RobotDescription:
     contact_points: Sequence[tuple[str, int, pin.SE3]]
     tip: pin.SE3
     notes: Sequence[str]
+    stated: frozenset[Assumption]
 
 
 class ContactPoint(NamedTuple):

@@ -13,6 +13,7 @@ import pinocchio as pin
 from pydantic import AfterValidator, Field, Strict, ValidationError, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
+from scara_effmass.codes import Assumption
 from scara_effmass.errors import RobotError
 from scara_effmass.input_files import read_yaml
 from scara_effmass.model.description import (
@@ -143,6 +144,17 @@ class DhFile(_Strict):
     rotor_inertia: tuple[tuple[Number, ...], ...] | None = None
     payload: DhPayload = DhPayload(mass=0.0)
     contact_points: dict[str, DhContactPoint] = Field(min_length=1)
+    defaults_hold: tuple[str, ...] = ()
+    """Names of the assumptions that hold for this robot as the defaults of the parameters have them."""
+
+    @field_validator("defaults_hold")
+    @classmethod
+    def _names_assumptions(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        known = [assumption.name.lower() for assumption in Assumption]
+        for name in names:
+            if name not in known:
+                raise ValueError(f"{name!r}: {nearest(name, known)}")
+        return names
 
     @model_validator(mode="after")
     def _consistent(self) -> DhFile:
@@ -259,7 +271,17 @@ def _described(file: DhFile, origin: str, settings: MonitorSettings) -> RobotDes
         contact_points=points,
         tip=placement,
         notes=(),
+        stated=frozenset(_stated(file)),
     )
+
+
+def _stated(file: DhFile) -> Iterator[Assumption]:
+    """Yield the assumptions that `file` states."""
+    yield Assumption.CONTACT_POINTS
+    if "payload" in file.model_fields_set:
+        yield Assumption.PAYLOAD
+    for name in file.defaults_hold:
+        yield Assumption[name.upper()]
 
 
 def _contact_points(file: DhFile, origin: str, entries: Sequence[str]) -> Iterator[tuple[str, int, Point]]:

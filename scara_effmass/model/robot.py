@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from scara_effmass.codes import Assumption
 from scara_effmass.iso15066 import robot_mass
 from scara_effmass.model.description import RotorInertia
 from scara_effmass.settings import LumpingSettings, MonitorSettings
@@ -30,6 +31,7 @@ class Robot:
     axis through it. `payload` are the masses m_L [kg] of tool and load by source; `rebuild` returns this robot with the
     load of other settings. A `*_reason` states why masses, centres of mass (CoM) or inertias are implausible; it is
     empty if they are plausible. `units_reason` states what is certainly not in SI units: the monitor refuses the robot.
+    `stated` is what the robot file states of the assumptions.
     `reach` [m] is the largest distance of `tip` and contact points from the first joint, over the sampled poses.
     """
 
@@ -46,6 +48,7 @@ class Robot:
     coms_reason: str
     inertias_reason: str
     notes: tuple[str, ...]
+    stated: frozenset[Assumption]
     reach: float = 0.0
     units_reason: str = ""
 

@@ -104,6 +104,7 @@ def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> RobotDescri
         contact_points=placed,
         tip=max((frames[name] for name in (*links, *tips)), key=lambda frame: frame.parentJoint).placement,
         notes=notes,
+        stated=frozenset(),
     )
 
 

@@ -13,6 +13,7 @@ from scara_effmass.nodes.diagnostics import status
 from scara_effmass.nodes.terminal import CHANGES, REASON_CODE, REMEDY
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Cause, Monitor
+from scara_effmass.safety.assumptions import RULES, deciding_mass, name_of, scope
 from scara_effmass.safety.remedies import remedy
 from scara_effmass.settings import MassModel
 from scara_effmass.values import ContactAssessment, Decision, Verdict, severity
@@ -135,7 +136,11 @@ def _model_status(monitor: Monitor) -> DiagnosticStatus:
         "full mass": dynamics.full_reason or "available",
         "ISO mass [kg]": robot.masses_reason or f"{robot.iso_mass:.4g}",
         "moving mass [kg]": f"{robot.moving_mass:.4g}",
+        "deciding mass": deciding_mass(dynamics, monitor.settings.effective_mass_model),
         "payload": monitor.payload_text,
+        "an OK covers": scope(robot, monitor.settings),
+        "assumed": "; ".join(RULES[code].text for code in monitor.assumptions.assumed),
+        "accepted assumptions": ", ".join(map(name_of, monitor.assumptions.accepted)),
         "notes": "; ".join(robot.notes),
         "core": monitor.core,
         "kernel disagreements": int(bool(monitor.kernel_fault)),  # the first one is the last

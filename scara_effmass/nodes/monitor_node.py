@@ -39,6 +39,7 @@ from scara_effmass.nodes.monitor_health import (
 from scara_effmass.nodes.robot_input import use_robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Assessments, Cause, Monitor, unknown_assessments
+from scara_effmass.safety.assumptions import RULES, deciding_mass, name_of
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.settings.loading import fixed
 from scara_effmass.values import Decision, Payload
@@ -195,10 +196,21 @@ class MonitorNode(LifecycleBase):
             self._encoder.frame_id = robot.base_frame
             self._no_robot_reason = ""
         self.get_logger().info(f"monitoring {robot.name} ({robot.origin}) at {', '.join(dynamics.contact_points)}")
-        self.get_logger().info(f"payload: {monitor.payload_text}")
+        self._log_assumptions(monitor)
+        mass = deciding_mass(dynamics, self._settings.effective_mass_model)
+        self.get_logger().info(f"deciding mass: {mass}; payload: {monitor.payload_text}")
         for line in (*robot.notes, *missing_models(dynamics)):
             if line != robot.rotors.warning:  # which is in the status of the model
                 self.get_logger().info(line)
+
+    def _log_assumptions(self, monitor: Monitor) -> None:
+        assumptions = monitor.assumptions
+        if assumptions.assumed:
+            effect = "no verdict is OK while these are assumed" if assumptions.limiting else "assumed"
+            texts = "; ".join(RULES[code].text for code in assumptions.assumed)
+            self.get_logger().warning(f"{effect}: {texts}")
+        if assumptions.accepted:
+            self.get_logger().info(f"accepted assumptions: {', '.join(map(name_of, assumptions.accepted))}")
 
     def _on_joint_state(self, data: bytes, info: dict[str, Any]) -> None:
         if not self.active:
@@ -387,7 +399,10 @@ class MonitorNode(LifecycleBase):
         with self._monitor_lock:
             self._settings = settings
             if self._monitor is not None:
+                before = self._monitor.assumptions
                 self._monitor.apply(self._settings)
+                if self._monitor.assumptions != before:
+                    self._log_assumptions(self._monitor)
                 if any(name.startswith("payload") for name in changed):
                     self.get_logger().info(f"payload: {self._monitor.payload_text}")
         self._wake_watchdog.set()  # else the new period starts after the old one

@@ -75,7 +75,7 @@ def changed_settings(current: Settings, changes: Sequence[Parameter], node: str)
     model = type(current)
     fields = flat_fields(model)
     values = {change.name: from_ros(change) for change in changes if change.name in fields}
-    return checked(model, {**current.model_dump(), **values}, node)
+    return checked(model, {**current.model_dump(exclude_unset=True), **values}, node)
 
 
 def _shared_names(node: str) -> set[str]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scara_effmass.codes import Reason
 from scara_effmass.kernel.records import CONTACT, FIELDS, PLACES
 from scara_effmass.kernel.state import CODE, STATE
+from scara_effmass.safety.assumptions import Assumptions
 from scara_effmass.safety.reasons import CRITERIA, MODELS, ReasonTexts
 from scara_effmass.values import ContactAssessment, Decision, FloatArray, Verdict
 
@@ -26,7 +27,7 @@ class Assessments:
     """Assessments of P contacts at N joint states, in order.
 
     `state_bytes` are the bytes of N `State`s, `numbers` (N, P, fields) those of the `Contact`s. `points` names the
-    contacts, `normal` the contact normal; `details` are texts of reasons.
+    contacts, `normal` the contact normal; `details` are texts of reasons, `assumptions` what is not stated.
     """
 
     state_bytes: NDArray[np.uint8]
@@ -35,6 +36,7 @@ class Assessments:
     normal: str
     details: Sequence[str]
     texts: ReasonTexts
+    assumptions: Assumptions
 
     def __len__(self) -> int:
         return len(self.numbers)
@@ -95,6 +97,9 @@ class Assessments:
             contacts=tuple(self._contact(row, point) for point in range(len(self.points))),
             allowable_speed=float(state["allowable_speed"]),
             speed_scaling=float(state["speed_scaling"]),
+            assumptions=self.assumptions.assumed,
+            accepted_assumptions=self.assumptions.accepted,
+            scope=self.texts.scope,
         )
 
     def decisions(self) -> Iterator[Decision]:

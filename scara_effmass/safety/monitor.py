@@ -35,6 +35,7 @@ from scara_effmass.kernel.state import (
 )
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety.assessments import Assessments, Records, unknown_numbers
+from scara_effmass.safety.assumptions import NO_ASSUMPTIONS, assumptions_of
 from scara_effmass.safety.joint_state_adapter import JointStateAdapter, Layout, suggested_map
 from scara_effmass.safety.reasons import NO_TEXTS, ReasonTexts
 from scara_effmass.safety.second_channel import ReferenceChannel
@@ -186,7 +187,9 @@ class Monitor:
     def _use_dynamics(self) -> None:
         """Compute with the present settings and payload from the next joint state on."""
         settings, robot = self.settings, self.dynamics.robot
-        self._texts = ReasonTexts.of(self.dynamics, settings, self._limits)
+        self.assumptions = assumptions_of(robot, settings)
+        self._rules["is_assumed"] = bool(self.assumptions.limiting)
+        self._texts = ReasonTexts.of(self.dynamics, settings, self._limits, self.assumptions)
         self._reference = ReferenceChannel(self.dynamics, settings, self._limits)
         if self._why_reference:
             self._kernel: ContactKernel | ReferenceChannel = self._reference
@@ -401,7 +404,7 @@ class Monitor:
         states, numbers = pending.states, pending.numbers
         if pending is self._single:
             states, numbers = states.copy(), numbers.copy()
-        return Assessments(states, numbers, self._points, self._normal, self._details, pending.texts)
+        return Assessments(states, numbers, self._points, self._normal, self._details, pending.texts, self.assumptions)
 
     def _restate(self, texts: ReasonTexts) -> None:
         """Keep the words of the reasons that are remembered, whose codes mean others under new `texts`."""
@@ -443,7 +446,8 @@ class Monitor:
         pending.records["is_admitted"] = 1
         pending.motions[:, 0], pending.motions[:, 1], pending.motions[:, 2] = q, qd, self.rest_tolerance
         self.compute(pending)
-        return Assessments(pending.states, pending.numbers, self._points, self._normal, self._details, self._texts)
+        settled = pending.states, pending.numbers, self._points, self._normal, self._details, self._texts
+        return Assessments(*settled, self.assumptions)
 
     def _new_pending(self, count: int) -> Pending:
         records = np.zeros(count, STATE)
@@ -506,4 +510,4 @@ def unknown_assessments(
     numbers = np.tile(unknown_numbers(), (1, len(points), 1))
     numbers.view(CONTACT)["reason"][..., [CODE, DETAIL]] = reason, 1.0
     record["verdict"] = Verdict.UNKNOWN
-    return Assessments(record.view(np.uint8), numbers, points, "", ("", detail), NO_TEXTS)
+    return Assessments(record.view(np.uint8), numbers, points, "", ("", detail), NO_TEXTS, NO_ASSUMPTIONS)

@@ -11,6 +11,7 @@ from scara_effmass.iso15066 import MIN_EFFECTIVE_MASS, Limit
 from scara_effmass.kernel.state import CODE, DETAIL, HELD, JOINT, LATCHED, VALUES, WORDS
 from scara_effmass.model.lumping import lumped_suffices
 from scara_effmass.reference import RobotDynamics
+from scara_effmass.safety.assumptions import Assumptions, scope
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import FloatArray
 
@@ -76,6 +77,7 @@ TEXTS = {
     Reason.TOO_FAST: "{v[0]:.3f} m/s is above the {v[1]:.3f} m/s that the {criterion} limit of {region} allows",
     Reason.NEAR_LIMIT: "{v[0]:.3f} m/s is close to the {v[1]:.3f} m/s that the {criterion} limit of {region} allows",
     Reason.LIGHT_MODEL: "the {choice} mass of {v[4]:.3g} kg is below the {best} model's {v[5]:.3g} kg",
+    Reason.ASSUMED: "{assumed}",
     Reason.CLAMPED: "the drives can clamp with {v[0]:.0f} N, above the {weakest}, at any speed",
     Reason.KERNEL_DISAGREES: "the compiled kernel disagrees with the reference in {detail}",
     Reason.TOO_SLOW: "the assessment took {v[0]:.3f} s",
@@ -103,7 +105,8 @@ class ReasonTexts:
     """Makes the texts for one robot and its settings.
 
     `joints` and their `units` are those of the robot, `regions` and `whys` the texts of the codes of body regions and
-    of why a model decides, `lumped` those of why there is no lumped mass; `fixed` are texts by name in TEXTS.
+    of why a model decides, `lumped` those of why there is no lumped mass; `fixed` are texts by name in TEXTS;
+    `scope` is what an OK covers.
     """
 
     joints: tuple[str, ...] = ("",)
@@ -112,9 +115,12 @@ class ReasonTexts:
     whys: tuple[str, ...] = ("",)
     lumped: tuple[str, ...] = ("",)
     fixed: Mapping[str, object] = field(default_factory=dict)
+    scope: str = ""
 
     @classmethod
-    def of(cls, dynamics: RobotDynamics, settings: MonitorSettings, limits: Sequence[Limit]) -> ReasonTexts:
+    def of(
+        cls, dynamics: RobotDynamics, settings: MonitorSettings, limits: Sequence[Limit], assumptions: Assumptions
+    ) -> ReasonTexts:
         """Return the texts of a robot under `limits`, those of `settings`."""
         robot, full_reason, choice = dynamics.robot, dynamics.full_reason, settings.effective_mass_model.value
         weakest = min(limits, key=lambda limit: limit.permissible_force_n)
@@ -138,12 +144,14 @@ class ReasonTexts:
             lumped=lumped,
             fixed={
                 "masses": robot.masses_reason,
+                "assumed": assumptions.reason,
                 "full": full_reason,
                 "choice": choice,
                 "best": "lumped" if full_reason else "full",
                 "min_mass": MIN_EFFECTIVE_MASS,
                 "weakest": f"{weakest.permissible_force_n:.0f} N of {weakest.region}",
             },
+            scope=scope(robot, settings),
         )
 
     def text(self, reason: FloatArray, details: Sequence[str]) -> str:

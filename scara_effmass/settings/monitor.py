@@ -10,7 +10,8 @@ from typing import Annotated
 from pydantic import Field, ValidationInfo, field_validator
 from typing_extensions import Self
 
-from scara_effmass.settings.loading import FrozenSettings, checked, fixed, tunable
+from scara_effmass.codes import Assumption
+from scara_effmass.settings.loading import FrozenSettings, checked, fixed, nearest, tunable
 from scara_effmass.share import share
 from scara_effmass.values import Payload, Vector3
 
@@ -265,6 +266,21 @@ class MonitorSettings(FrozenSettings):
         ge=0.0,
         le=1.0,
     )
+
+    accept_assumptions: tuple[str, ...] = tunable(
+        (),
+        "assumptions, by name, that need not be stated for an OK: "
+        + ", ".join(assumption.name.lower() for assumption in Assumption),
+    )
+
+    @field_validator("accept_assumptions")
+    @classmethod
+    def _check_accepted(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        known = [assumption.name.lower() for assumption in Assumption]
+        for name in names:
+            if name not in known:
+                raise ValueError(f"{name!r}: {nearest(name, known)}")
+        return names
 
     @field_validator("velocity_window")
     @classmethod

@@ -9,7 +9,7 @@ import math
 import struct
 from typing import Any
 
-from scara_effmass.codes import Reason
+from scara_effmass.codes import Assumption, Reason
 from scara_effmass.errors import DecodeError
 from scara_effmass.kernel.records import FIELDS, PLACES
 from scara_effmass.safety import Assessments, unknown_contact
@@ -28,6 +28,7 @@ from scara_effmass.wire.cdr import (
 )
 
 _VERDICTS, _CODES = frozenset(map(int, Verdict)), frozenset(map(int, Reason))
+_ASSUMPTIONS = frozenset(map(int, Assumption))
 _FLOAT64 = struct.Struct("<4sd")
 _STAMP = struct.Struct("<4siI")
 _NUMBERS_LAYOUT = "Q?BH4x4d"
@@ -77,7 +78,7 @@ class ContactStatesEncoder:
         # The bytes of verdicts, codes and reasons stand for their texts, which those of the settings complete.
         codes = contacts[:, _VALUES_SIZE:].tobytes()
         settings = assessments.points, assessments.normal, assessments.texts, assessments.details
-        texts = self.frame_id, is_admitted, worst, codes, settings
+        texts = self.frame_id, is_admitted, worst, codes, settings, assessments.assumptions
         if texts != self._texts:
             self._encode_texts(assessments, row, worst)
             self._texts = texts
@@ -98,7 +99,10 @@ class ContactStatesEncoder:
         decision = assessments.decision(row)
         self._head = padded(with_text(b"", self.frame_id))
         before = with_text(with_text(b"", decision.contact_normal), decision.contacts[worst].reason)
-        self._texts_of_state = padded(before + b"\x00" * (-len(before) % 4) + COUNT.pack(len(decision.contacts)))
+        for codes in (decision.assumptions, decision.accepted_assumptions):
+            before = _with_count(before, len(codes)) + bytes(codes)
+        before = with_text(before, decision.scope)
+        self._texts_of_state = padded(_with_count(before, len(decision.contacts)))
         self._tails = []
         contacts: tuple[Any, ...] = decision.contacts
         for contact in contacts:
@@ -107,6 +111,11 @@ class ContactStatesEncoder:
                 tail = with_text(tail, text)
             self._tails.append(padded(tail))
         self._tails[-1] = tail  # nothing follows
+
+
+def _with_count(data: bytes, count: int) -> bytes:
+    """Return `data` with the count of a sequence at the next multiple of 4."""
+    return data + b"\x00" * (-len(data) % 4) + COUNT.pack(count)
 
 
 class _Reader:
@@ -126,6 +135,14 @@ class _Reader:
         if end > len(data):
             raise IndexError
         return data[start : max(end - 1, start)].decode(), end
+
+    def assumptions(self, data: bytes, at: int) -> tuple[tuple[Assumption, ...], int]:
+        """Return the known codes of the sequence at the next multiple of 4 from `at` on, and its end."""
+        start = at + -at % 4 + 4
+        end = start + self.count(data, start - 4)[0]
+        if end > len(data):
+            raise IndexError
+        return tuple(Assumption(code) for code in data[start:end] if code in _ASSUMPTIONS), end
 
 
 _READERS = {encapsulation: _Reader(order) for encapsulation, order in BYTE_ORDERS.items()}
@@ -158,6 +175,9 @@ def _decode(reader: _Reader, data: bytes) -> tuple[Decision, int]:
     number, watchdog, _, _, allowable_speed, speed_scaling, age, delay = reader.numbers(data, at)
     contact_normal, at = reader.text(data, at + _NUMBERS.size)
     reason, at = reader.text(data, at)
+    assumptions, at = reader.assumptions(data, at)
+    accepted, at = reader.assumptions(data, at)
+    scope, at = reader.text(data, at)
     at += -at % 4
     (count,) = reader.count(data, at)
     at += 4
@@ -180,7 +200,8 @@ def _decode(reader: _Reader, data: bytes) -> tuple[Decision, int]:
         allowable_speed = speed_scaling = 0.0
     stamp_ns = sec * NS + nanosec
     decision = Decision(
-        *(stamp_ns, age, delay, contact_normal, watchdog, tuple(contacts), allowable_speed, speed_scaling, number)
+        *(stamp_ns, age, delay, contact_normal, watchdog, tuple(contacts), allowable_speed, speed_scaling, number),
+        *(assumptions, accepted, scope),
     )
     return decision, at
 

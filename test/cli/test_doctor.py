@@ -293,3 +293,26 @@ def test_levels_have_a_colour_on_a_terminal_only(
     output = capsys.readouterr().out
     assert ("\x1b[32mok" in output, "\x1b[33mnote" in output) == (on_terminal, on_terminal)
     assert ("\x1b" in output) == on_terminal
+
+
+def test_doctor_says_what_is_assumed_and_which_mass_decides(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    _, result = run_doctor(capsys)
+    assert texts(result, "ok")["an OK covers"].startswith(
+        "slower than the allowable speed at tool, elbow, for a person "
+    )
+    _, result = run_doctor(capsys, "--robot", str(arm(tmp_path / "arm.urdf", x=0.0, inertia=1.0)))
+    notes = texts(result, "note")
+    assert notes["assumed: payload"] == "payload not stated: --payload 0 if there is none"
+    assert "state mass, centre of mass" in notes["assumed: masses"]
+    assert "ISO's M/2 + m_L" in notes["effective_mass_model"]
+    _, result = run_doctor(
+        capsys, "--robot", str(arm(tmp_path / "arm.urdf")), "--payload", "0", "--accept-assumptions", "drives"
+    )
+    assert "assumed: payload" not in texts(result, "note")
+    assert texts(result, "note")["assumed: drives"].startswith("accepted: ")
+
+
+def test_unknown_assumption_is_refused_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["doctor", "--accept-assumptions", "drive"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "'drive': must be drives" in line

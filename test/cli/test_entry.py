@@ -195,13 +195,16 @@ def test_options_override_the_parameter_file(cli: Cli, tmp_path: Path) -> None:
         assert result["contact"] == contact
 
 
+VERDICT_OPTIONS = {"person_speed", "drives", "contact_normal", "accept_assumptions"}
+
+
 @pytest.mark.parametrize("command", ["assess", "demo", "doctor", "init", "map", "monitor", "validate"])
 def test_every_command_that_assesses_has_the_options_of_the_cell(command: str) -> None:
-    """A person who approaches changes no measured impact, so `validate` has no speed of a person."""
+    """`validate` has no options that change the verdict alone, and not a measured impact."""
     own = {option.dest for option in COMMANDS[command].options if isinstance(option, Option)}
     cell = {option.dest for option in options_of("cell")}
     assert cell <= set(MonitorSettings.model_fields)
-    assert cell - own == ({"person_speed"} if command == "validate" else set())
+    assert cell - own == (VERDICT_OPTIONS if command == "validate" else set())
 
 
 @pytest.mark.live

@@ -89,6 +89,7 @@ def test_file_holds_the_options_and_the_meaning_of_each_parameter(cli: Cli, moti
         body_regions=("chest", "hand_fingers"),
         contact_area_m2=2e-4,
         person_speed=0.2,
+        accept_assumptions=("rotor_inertia",),  # which neither file nor options state
     )
     validator = load_settings(ValidatorSettings, file, "validator")
     assert (validator.body_regions, validator.contact_area_m2) == (("chest", "hand_fingers"), 2e-4)
@@ -202,7 +203,8 @@ def test_existing_file_is_kept_without_force(cli: Cli, refused: Refused, tmp_pat
     (tmp_path / "cell.yaml").write_text("mine", encoding="utf-8")
     assert refused("init") == "cell.yaml: already exists; use --force to replace it"
     assert cli("init", "--force").returncode == 0
-    assert load_settings(MonitorSettings, tmp_path / "cell.yaml", "monitor") == MonitorSettings()
+    written = load_settings(MonitorSettings, tmp_path / "cell.yaml", "monitor")
+    assert written == MonitorSettings(contact_points=("tool", "elbow"))
 
 
 class Terminal(io.StringIO):

@@ -24,7 +24,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from scara_effmass.codes import ModelCode
+from scara_effmass.codes import Assumption, ModelCode
 from scara_effmass.model.load import load_robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import MonitorSettings
@@ -396,6 +396,10 @@ TWO_LINKS = """<robot name="two_link">
 </robot>"""
 
 
+NAMES = ", ".join(assumption.name.lower() for assumption in Assumption)
+ACCEPT_ALL = ("-p", f"accept_assumptions:=[{NAMES}]")
+
+
 class TestRobotDescription:
     def test_robot_description_is_awaited_and_may_be_replaced(self, new_harness: Callable[..., NodeHarness]) -> None:
         harness = new_harness(
@@ -404,6 +408,7 @@ class TestRobotDescription:
             *("-p", "effective_mass_model:=full"),
             *("-p", "release_time:=0.0"),
             *("-p", "timeout:=60.0"),
+            *ACCEPT_ALL,
         )
         harness.subscribe()
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

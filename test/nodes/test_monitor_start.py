@@ -57,6 +57,7 @@ def test_invalid_argument_gives_one_line_and_exit_code_2(
         ("timeout:=1", "monitor: timeout = 1: must be DOUBLE, is INTEGER: write 1.0"),
         ("timeout:=.nan", "monitor: timeout = nan: must be a finite number"),
         ("timeout:=61.0", "monitor: timeout = 61.0: must be less than or equal to 60"),
+        ("accept_assumptions:=[drive]", "monitor: accept_assumptions = ('drive',): 'drive': must be drives"),
         ("speed_threshold:=0.0", "monitor: speed_threshold = 0.0: must be greater than"),
         ("timeout:='0.1'", "monitor: timeout = '0.1': must be DOUBLE, is STRING: write 0.1"),
         ("contact_area_m2:=10", "monitor: contact_area_m2 = 10: must be DOUBLE, is INTEGER: write 10.0"),
@@ -180,3 +181,17 @@ def test_misspelt_parameters_of_the_node_are_refused(
     assert process is not None
     assert process.communicate()[1].startswith(line)
     assert process.returncode == 2
+
+
+def test_first_lines_say_what_is_assumed_and_which_options_state_it(new_harness: Callable[..., NodeHarness]) -> None:
+    robot = share("config", "robots", "ur5_robot.urdf")
+    process = new_harness("--ros-args", "-p", f"robot:={robot}", "-p", "accept_assumptions:=[person_speed]").process
+    assert process is not None
+    assert process.stderr is not None
+    lines = [process.stderr.readline() for _ in range(5)]
+    (assumed,) = (line for line in lines if "no verdict is OK while these are assumed: " in line)
+    for option in ("--payload 0", "--armature", "--drives", "--contact-area-m2", "--contact-point"):
+        assert option in assumed
+    assert "--person-speed" not in assumed
+    assert any("accepted assumptions: person_speed" in line for line in lines)
+    assert any("deciding mass: lumped from masses" in line for line in lines)

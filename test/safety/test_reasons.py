@@ -11,6 +11,7 @@ from scara_effmass.iso15066 import limits_for
 from scara_effmass.kernel.records import REASON_SIZE
 from scara_effmass.kernel.state import CODE, DETAIL, HELD, JOINT, LATCHED, VALUES
 from scara_effmass.reference import RobotDynamics
+from scara_effmass.safety.assumptions import assumptions_of
 from scara_effmass.safety.reasons import MASSLESS, NO_TEXTS, NOT_DEFINITE, TEXTS, ReasonTexts
 from scara_effmass.settings import MonitorSettings
 
@@ -21,7 +22,7 @@ LUMPED, FULL, ISO = 1, 2, 3
 
 def texts_of(dynamics: RobotDynamics, **settings: object) -> ReasonTexts:
     values = MonitorSettings.model_validate(settings)
-    return ReasonTexts.of(dynamics, values, limits_for(values))
+    return ReasonTexts.of(dynamics, values, limits_for(values), assumptions_of(dynamics.robot, values))
 
 
 def text(texts: ReasonTexts, code: Reason, *values: float, joint: int = 0, held: bool = False, latched: int = 0) -> str:
@@ -34,8 +35,8 @@ def text(texts: ReasonTexts, code: Reason, *values: float, joint: int = 0, held:
 
 @pytest.mark.parametrize("code", Reason)
 def test_every_code_has_a_text(scara: RobotDynamics, code: Reason) -> None:
-    # This robot has masses, so nothing says why it has none.
-    assert bool(text(texts_of(scara), code)) == (code not in {Reason.NONE, Reason.NO_MASSES})
+    # This robot has masses, and its file states all, so nothing says why it has none, or what is assumed.
+    assert bool(text(texts_of(scara), code)) == (code not in {Reason.NONE, Reason.NO_MASSES, Reason.ASSUMED})
     assert set(TEXTS) == set(Reason)
 
 

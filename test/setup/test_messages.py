@@ -14,7 +14,7 @@ from rclpy.node import Node
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from scara_effmass.analysis.tables import SCHEMA
-from scara_effmass.codes import Reason
+from scara_effmass.codes import Assumption, Reason
 from scara_effmass.kernel.records import CONTACT, REASON_SIZE
 from scara_effmass.values import ContactAssessment, Mobility6, Vector3, Verdict
 from test.nodes.conftest import ros_node
@@ -31,7 +31,7 @@ CONTRACT = {
     ),
     "ContactStates": (
         "header sequence_number watchdog verdict reason_code allowable_speed speed_scaling input_age velocity_delay "
-        "contact_normal reason contacts"
+        "contact_normal reason assumptions accepted_assumptions scope contacts"
     ),
     "ForceBlock": (
         "header first_sample sample_rate force lost_samples saturated saturated_samples clock_residual filter_delay "
@@ -112,6 +112,11 @@ def test_columns_of_a_table_are_the_fields_of_an_assessment() -> None:
 
 def test_constants_of_the_message_are_the_verdicts() -> None:
     assert {name: getattr(message("ContactState"), name) for name in Verdict.__members__} == dict(Verdict.__members__)
+
+
+def test_constants_of_contact_states_are_the_assumptions() -> None:
+    members = Assumption.__members__
+    assert {name: getattr(message("ContactStates"), name) for name in members} == dict(members)
 
 
 def test_contract_names_every_message() -> None:

@@ -15,7 +15,7 @@ from scara_effmass_msgs import msg
 from std_msgs.msg import Float64
 
 from scara_effmass.bags.definitions import known_types
-from scara_effmass.codes import Reason
+from scara_effmass.codes import Assumption, Reason
 from scara_effmass.errors import DecodeError
 from scara_effmass.safety import unknown_contact
 from scara_effmass.safety.reasons import CRITERIA, MODELS
@@ -273,6 +273,7 @@ CONTACTS = values_of(
     },
     reason_code=st.just(Reason.NONE),
 ).map(lambda contact: contact._replace(reason_code=Reason.STATED if contact.reason else Reason.NONE))
+ASSUMPTIONS = st.lists(st.sampled_from(Assumption), unique=True).map(tuple)
 DECISIONS = st.builds(
     Decision,
     stamp_ns=st.integers(0, 2**31 * NS - 1),
@@ -283,6 +284,9 @@ DECISIONS = st.builds(
     contacts=st.lists(CONTACTS, min_size=1, max_size=4).map(tuple),
     allowable_speed=st.floats(0.0, 1e300),
     speed_scaling=st.floats(0.0, 1.0),
+    assumptions=ASSUMPTIONS,
+    accepted_assumptions=ASSUMPTIONS,
+    scope=TEXT,
 )
 
 
@@ -303,6 +307,8 @@ def test_contact_states_are_read_by_rclpy_rosbags_and_this_package(decisions: li
             for name in ("input_age", "velocity_delay", "contact_normal", "watchdog", "allowable_speed"):
                 assert repr(getattr(message, name)) == repr(getattr(decision, name))
             assert message.speed_scaling == decision.speed_scaling
+            for name in ("assumptions", "accepted_assumptions"):
+                assert tuple(getattr(message, name)) == getattr(decision, name)
             for state, contact in zip(message.contacts, decision.contacts, strict=True):
                 assert text(value_in(state, contact)) == text(contact)
         assert len(data) == len(serialize_message(of_ros))
