@@ -53,6 +53,7 @@ class Reason(IntEnum):
     TOO_FAST = 60  # values: speed, allowable speed [m/s], criterion, body region, those of LIGHT_MODEL
     NEAR_LIMIT = 61  # the same
     LIGHT_MODEL = 62  # values: four zeros, mass, best mass [kg]
+    PERSON_TOO_FAST = 63  # values: as TOO_FAST, with the person's speed and the one that the limit allows at rest [m/s]
     CLAMPED = 65  # values: force [N]
     KERNEL_DISAGREES = 70  # detail: field
     TOO_SLOW = 71  # values: duration [s]
