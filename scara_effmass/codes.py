@@ -54,6 +54,7 @@ class Reason(IntEnum):
     NEAR_LIMIT = 61  # the same
     LIGHT_MODEL = 62  # values: four zeros, mass, best mass [kg]
     ASSUMED = 63
+    PERSON_TOO_FAST = 64  # values: as TOO_FAST, with the person's speed and the one that the limit allows at rest [m/s]
     CLAMPED = 65  # values: force [N]
     KERNEL_DISAGREES = 70  # detail: field
     TOO_SLOW = 71  # values: duration [s]

@@ -31,6 +31,7 @@ from scara_effmass.kernel.mobility import (
     worst_reduced_mass,
 )
 from scara_effmass.kernel.model_choice import Choice, choose_models, largest_along, mass_along, worst_mass
+from scara_effmass.kernel.person import person_of, set_principal, set_single
 from scara_effmass.kernel.pose_change import assign, assign_symmetric, turn_change
 from scara_effmass.kernel.records import (
     CASE,
@@ -47,7 +48,8 @@ from scara_effmass.kernel.records import (
     Setup,
     Work,
 )
-from scara_effmass.kernel.speed_limit import Bound, Drives, governing_case
+from scara_effmass.kernel.spatial import dot
+from scara_effmass.kernel.speed_limit import Bound, Drives, governing_case, governing_person_case
 from scara_effmass.kernel.state import STATE, VALUES, set_reason
 from scara_effmass.kernel.static_force import clamping_force, holding_force
 from scara_effmass.values import NO_MOBILITY, ZERO_VECTOR, FloatArray, Mobility6, Vector3, Verdict
@@ -70,6 +72,30 @@ def set_normal(out: Mobility, m: Mobility6, mass: float, worst: float, approach:
         set_scalars(out, m, approach.direction, approach.rank)
     else:
         set_scalar(out, 1.0 / (mass if setup.normal == Normal.VELOCITY else worst))
+
+
+@inlined
+def fill_principals(iso: int, count: int, approach: Approach, setup: Setup, work: Work) -> None:
+    """Write `count` mobilities along their eigenvectors; that of ISO's mass has the index `iso`."""
+    towards = in_base(setup.person_joint, setup.person_vector, work.rotations)
+    for i in range(count):
+        if work.mobilities[i].change_rank > 0:
+            set_principal(work.principals[i], work.mobilities[i], towards)
+        else:
+            rank = 3 if i == iso else approach.rank
+            set_single(work.principals[i], work.mobilities[i].matrix_trace, rank, dot(approach.direction, towards))
+
+
+@inlined
+def person_share(approach: Approach, setup: Setup, work: Work) -> float:
+    """Return the share of the person's speed that adds to the robot's along a known contact normal, either way."""
+    if setup.counts_person:
+        return 0.0
+    if not setup.has_person_direction or not (setup.normal == Normal.FIXED or approach.is_moving):
+        return 1.0
+    normal = approach.normal if setup.normal == Normal.FIXED else approach.direction
+    towards = in_base(setup.person_joint, setup.person_vector, work.rotations)
+    return max(abs(dot(normal, towards)), MIN_NORMAL_COMPONENT)
 
 
 @inlined
@@ -153,8 +179,15 @@ def fill_limits(
         acceleration, min_mobility = drive_acceleration(approach.joints, setup, work), 1.0 / worst
     if setup.joints_are_coupled:
         max_force = holding_force(approach, cases, work.mobilities[:models], setup, work)
-    drives = Drives(acceleration, min_mobility, max_force)
-    governing, bound = governing_case(cases, work.mobilities[:count], drives, setup, work)
+    if setup.counts_person:
+        fill_principals(models - 1 if choice.takes.iso else -1, count, approach, setup, work)
+        has_push = setup.is_servo and approach.rank == 3  # where the point does not move, drives have no least mobility
+        drives = Drives(acceleration, min_mobility, max_force, has_push)
+        person = person_of(approach, setup)
+        governing, bound = governing_person_case(cases, work.mobilities[:count], drives, setup, work, person)
+    else:
+        drives = Drives(acceleration, min_mobility, max_force, setup.is_servo)
+        governing, bound = governing_case(cases, work.mobilities[:count], drives, setup, work)
     case = cases[governing]
     mu = mass if case.body_mass == math.inf else 1.0 / (1.0 / mass + 1.0 / case.body_mass)
     worst_mu = 0.0
@@ -174,17 +207,21 @@ def fill_limits(
         _PRESSURE if case.is_pressure else _FORCE,
         model + 1,
     )
-    set_verdict(contact, case, bound, mass, approach, setup)
+    set_verdict(contact, case, bound, mass, approach, setup, work)
 
 
 @inlined
-def set_verdict(contact: Contact, case: Case, bound: Bound, mass: float, approach: Approach, setup: Setup) -> None:
+def set_verdict(
+    contact: Contact, case: Case, bound: Bound, mass: float, approach: Approach, setup: Setup, work: Work
+) -> None:
     """Write the bound of the force, the allowable speed and the verdict."""
-    closing_speed = setup.closing_speed + approach.tolerance
+    share = person_share(approach, setup, work)
+    closing_speed = setup.person_speed * share + setup.speed_uncertainty + approach.tolerance
     hit = approach.speed * approach.share + closing_speed
     hit *= 1.0 + bound.growth * hit
     push, bound_mass = bound.push, bound.reduced_mass if bound.reduced_mass < math.inf else setup.mass_cap
-    contact.force_bound = push + math.sqrt(push * push + case.stiffness * bound_mass * hit * hit)
+    energy = bound.root * bound.root if setup.counts_person else bound_mass * hit * hit
+    contact.force_bound = push + math.sqrt(push * push + case.stiffness * energy)
     nominal_speed = (bound.speed - closing_speed) / approach.share
     contact.allowable_speed = max(0.0, nominal_speed)
     verdict, code = _OK, Reason.NONE
@@ -205,6 +242,10 @@ def set_verdict(contact: Contact, case: Case, bound: Bound, mass: float, approac
         set_reason(contact.reason, code, 0, contact.clamping_force, 0.0, 0.0)
     elif code != Reason.NONE:
         set_reason(contact.reason, code, 0, contact.speed, contact.allowable_speed, contact.criterion)
+        if code == Reason.TOO_FAST and setup.person_speed > 0.0 and bound.speed <= setup.person_speed * share:
+            rest = bound.speed / share if share > 0.0 else bound.speed + setup.person_speed
+            code = Reason.PERSON_TOO_FAST
+            set_reason(contact.reason, code, 0, setup.person_speed, max(0.0, rest), contact.criterion)
         contact.reason[VALUES + 3] = contact.body_region
         if is_light:
             contact.reason[VALUES + 4], contact.reason[VALUES + 5] = contact.effective_mass, best_mass

@@ -58,6 +58,7 @@ class ContactKernel:
         joints = range(1, model.njoints)
         normal_joint, normal = self._direction(settings.fixed_normal, settings.contact_normal_frame)
         test_joint, test = self._direction(settings.fixed_test_direction, settings.test_direction_frame)
+        person_joint, person = self._direction(settings.fixed_person_direction, settings.person_direction_frame)
         bodies = [list(of_model.inertias)[1:] for of_model in models]
         return Setup(
             joints=model.nv,
@@ -90,6 +91,10 @@ class ContactKernel:
             joints_are_held=is_servo and not settings.servo.computed_torque,
             clamps=clamps,
             needs_gravity=is_servo or clamps,
+            counts_person=settings.counts_person_velocity,
+            has_person_direction=settings.fixed_person_direction is not None,
+            person_joint=person_joint,
+            person_vector=person,
             model=MODELS.index(settings.effective_mass_model),
             normal=NORMALS.index(settings.contact_normal) if settings.fixed_normal is None else int(Normal.FIXED),
             iso_mass=robot.iso_mass if has_masses else 0.0,
@@ -98,7 +103,7 @@ class ContactKernel:
             model_margin=settings.model_margin,
             speed_threshold=settings.speed_threshold,
             person_speed=settings.person_speed,
-            closing_speed=settings.person_speed + settings.speed_uncertainty,
+            speed_uncertainty=settings.speed_uncertainty,
             warn_ratio=settings.warn_ratio,
             external_force=settings.external_force_limit or math.inf,
             weakest_force=min(case.limit.permissible_force_n for case in cases),

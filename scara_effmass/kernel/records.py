@@ -97,6 +97,10 @@ class Setup:
     joints_are_held: bool
     clamps: bool
     needs_gravity: bool
+    counts_person: bool
+    has_person_direction: bool
+    person_joint: int
+    person_vector: Vector
     model: int
     normal: int
     iso_mass: float
@@ -105,7 +109,7 @@ class Setup:
     model_margin: float
     speed_threshold: float
     person_speed: float
-    closing_speed: float
+    speed_uncertainty: float
     warn_ratio: float
     external_force: float
     weakest_force: float
@@ -142,6 +146,30 @@ class Mobility:
 
 
 @dataclass
+class Principal:
+    """Mobility along its eigenvectors (the rows of `axes`), for the velocity of a person.
+
+    `values` are the eigenvalues, the smallest first; the point does not move along the first `unreached` axes. There,
+    too: velocity of the contact point (`direction`, `speed`), direction to the person (`towards`), and, if the pose
+    `changes`, accelerations and `lessening` = -dA/dt. The smallest eigenvalue counts as at least `floor`. `matrix` is
+    scratch.
+    """
+
+    values: Vector
+    axes: Annotated[FloatArray, (3, 3)]
+    matrix: Annotated[FloatArray, (3, 3)]
+    unreached: int
+    changes: bool
+    floor: float
+    speed: float
+    direction: Vector
+    towards: Vector
+    free: Vector
+    held: Vector
+    lessening: Annotated[FloatArray, (3, 3)]
+
+
+@dataclass
 class Work:
     """Intermediate results of one joint state, of both models where the first dimension is 2.
 
@@ -172,6 +200,7 @@ class Work:
     worst: Vector
     any_normal: Annotated[Any, (3,), Mobility]
     mobilities: Annotated[Any, (MAX_MOBILITIES,), Mobility]
+    principals: Annotated[Any, (MAX_MOBILITIES,), Principal]
     max_masses: Annotated[FloatArray, (MAX_MOBILITIES,)]
     growths: Annotated[FloatArray, (MAX_MOBILITIES,)]
 

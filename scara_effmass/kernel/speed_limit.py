@@ -10,34 +10,43 @@ from typing import NamedTuple
 from scara_effmass.iso15066.drives import MAX_MOBILITY
 from scara_effmass.kernel.jit import inlined
 from scara_effmass.kernel.mobility import worst_reduced_mass
+from scara_effmass.kernel.person import Person, max_speed, meeting_of, person_mass, present_root
 from scara_effmass.kernel.pose_change import contact_time, growth, max_growth
-from scara_effmass.kernel.records import Case, Mobility, Setup, Work
+from scara_effmass.kernel.records import Case, Mobility, Principal, Setup, Work
 
 
 class Bound(NamedTuple):
-    """Speed [m/s] that a case allows, with reduced mass [kg], its growth [s/m] and the push of the drives [N]."""
+    """Speed [m/s] that a case allows, with reduced mass [kg], its growth [s/m] and the push of the drives [N].
+
+    With a moving person, `root` is the peak force without the push over sqrt(k) at the present speed [m/s sqrt(kg)].
+    """
 
     speed: float
     reduced_mass: float
     growth: float
     push: float
+    root: float
 
 
 class Drives(NamedTuple):
-    """Largest acceleration [m/s2] and least mobility [1/kg] of a push, and the force [N] that saturates no joint."""
+    """Largest acceleration [m/s2] and least mobility [1/kg] of a push, and the force [N] that saturates no joint.
+
+    `has_push`: the bound of the push counts as well.
+    """
 
     acceleration: float
     min_mobility: float
     max_force: float
+    has_push: bool
 
 
-NO_BOUND = Bound(math.inf, 0.0, 0.0, 0.0)
+NO_BOUND = Bound(math.inf, 0.0, 0.0, 0.0, 0.0)
 
 
 @inlined
 def is_less(a: Bound, b: Bound) -> bool:
     """Return whether bound `a` is less than `b`, entry by entry as tuples are compared."""
-    for i in range(4):
+    for i in range(5):
         if a[i] != b[i]:
             return a[i] < b[i]
     return False
@@ -52,10 +61,10 @@ def bound_of(case: Case, m: Mobility, mass_factor: float, mu: float, alpha: floa
         growing = 0.5 * time * growth(m, mass_factor * alpha, beta) / m.speed
     inverse_square = mu * rate
     if inverse_square <= 0.0:
-        return Bound(math.inf, mu, growing, 0.0)
+        return Bound(math.inf, mu, growing, 0.0, 0.0)
     speed = 1.0 / math.sqrt(inverse_square)
     speed = 2.0 * speed / (1.0 + math.sqrt(1.0 + 4.0 * growing * speed))
-    return Bound(max(0.0, speed), mu, growing, 0.0)  # NaN, of an infinite growth at no speed, is no missing limit
+    return Bound(max(0.0, speed), mu, growing, 0.0, 0.0)  # NaN, of an infinite growth at no speed, is no missing limit
 
 
 @inlined
@@ -87,23 +96,26 @@ def case_bound(case: Case, m: Mobility, mass_factor: float, rate: float) -> Boun
 
 
 @inlined
-def push_bound(
-    case: Case, mobilities: Sequence[Mobility], mass_factor: float, drives: Drives, clamping_limit: float
-) -> Bound:
-    """Return the bound of free joints and the push of the drives."""
-    mobility = drives.min_mobility / mass_factor + case.obstacle_mobility
+def push_force(case: Case, drives: Drives, setup: Setup) -> float:
+    """Return the force of drives that push robot and body part on."""
+    mobility = drives.min_mobility / setup.mass_factor + case.obstacle_mobility
     force = drives.acceleration / mobility if mobility > 0.0 else math.inf
-    if case.obstacle_mobility == 0.0:
-        force = min(force, clamping_limit)
+    return force if case.obstacle_mobility > 0.0 else min(force, setup.external_force)
+
+
+@inlined
+def push_bound(case: Case, mobilities: Sequence[Mobility], drives: Drives, setup: Setup) -> Bound:
+    """Return the bound of free joints and the push of the drives."""
+    force = push_force(case, drives, setup)
     rest = case.force * (case.force - 2.0 * force)
     if rest <= 0.0:
-        return Bound(0.0, 0.0, 0.0, force)
-    least = Bound(math.inf, math.inf, math.inf, math.inf)
+        return Bound(0.0, 0.0, 0.0, force, 0.0)
+    least = Bound(math.inf, math.inf, math.inf, math.inf, math.inf)
     for k in range(len(mobilities)):
-        bound = free_bound(case, mobilities[k], mass_factor, case.stiffness / rest)
+        bound = free_bound(case, mobilities[k], setup.mass_factor, case.stiffness / rest)
         if is_less(bound, least):
             least = bound
-    return Bound(least.speed, least.reduced_mass, least.growth, force)
+    return Bound(least.speed, least.reduced_mass, least.growth, force, 0.0)
 
 
 @inlined
@@ -140,10 +152,78 @@ def governing_case(
                 other = case_bound(case, mobilities[k], factor, rate)
                 if is_less(other, bound):
                     bound = other
-        if setup.is_servo:
-            other = push_bound(case, mobilities, factor, drives, setup.external_force)
+        if drives.has_push:
+            other = push_bound(case, mobilities, drives, setup)
             if is_less(bound, other):
                 bound = other
         if bound.speed < slowest.speed:
             governing, slowest = i, bound
     return governing, slowest if slowest.speed < math.inf else NO_BOUND
+
+
+@inlined
+def person_line_bound(
+    case: Case, p: Principal, setup: Setup, alpha: float, beta: float, rate: float, person: Person
+) -> Bound:
+    """Return the bound of one line of the drives with a moving person, whose speed is not part of it."""
+    meeting = meeting_of(case, p, setup.mass_factor, alpha, beta, person, math.inf)
+    speed = max_speed(meeting, 1.0 / math.sqrt(rate))
+    if meeting.heaviest == math.inf:
+        meeting = meeting_of(case, p, setup.mass_factor, alpha, beta, person, setup.mass_cap)
+    return Bound(speed, person_mass(meeting), 0.0, 0.0, present_root(meeting, person.robot_speed))
+
+
+@inlined
+def person_case_bound(
+    case: Case, p: Principal, matrix_trace: float, setup: Setup, rate: float, person: Person
+) -> Bound:
+    """Return the bound of the drives of the settings with a moving person, as `case_bound`."""
+    if case.line_count > 1 and not matrix_trace <= MAX_MOBILITY * setup.mass_factor:
+        return person_line_bound(case, p, setup, case.obstacle_mobility, 0.0, rate, person)
+    fastest = person_line_bound(case, p, setup, case.lines[0, 0], case.lines[0, 1], rate, person)
+    for i in range(1, case.line_count):
+        bound = person_line_bound(case, p, setup, case.lines[i, 0], case.lines[i, 1], rate, person)
+        if bound.speed > fastest.speed:
+            fastest = bound
+    return fastest
+
+
+@inlined
+def person_push_bound(case: Case, count: int, drives: Drives, setup: Setup, work: Work, person: Person) -> Bound:
+    """Return the bound of free joints and the push of the drives with a moving person, as `push_bound`."""
+    force = push_force(case, drives, setup)
+    rest = case.force * (case.force - 2.0 * force)
+    if not rest > 0.0:
+        return Bound(-person.speed, 0.0, 0.0, force, 0.0)
+    least = NO_BOUND
+    for k in range(count):
+        rate, alpha = case.stiffness / rest, case.obstacle_mobility
+        bound = person_line_bound(case, work.principals[k], setup, alpha, 1.0, rate, person)
+        if bound.speed < least.speed:
+            least = bound
+    return Bound(least.speed, least.reduced_mass, 0.0, force, least.root)
+
+
+@inlined
+def governing_person_case(
+    cases: Sequence[Case], mobilities: Sequence[Mobility], drives: Drives, setup: Setup, work: Work, person: Person
+) -> tuple[int, Bound]:
+    """Return the case that allows the robot the least speed with a moving person, and its bound."""
+    governing, slowest = 0, NO_BOUND
+    for i in range(len(cases)):
+        case, bound = cases[i], NO_BOUND
+        rate = case.rate
+        if drives.max_force < case.force:
+            excess = case.force / drives.max_force if drives.max_force > 0.0 else math.inf
+            rate *= excess * excess
+        for k in range(len(mobilities)):
+            other = person_case_bound(case, work.principals[k], mobilities[k].matrix_trace, setup, rate, person)
+            if other.speed < bound.speed:
+                bound = other
+        if drives.has_push:
+            other = person_push_bound(case, len(mobilities), drives, setup, work, person)
+            if bound.speed < other.speed:
+                bound = other
+        if bound.speed < slowest.speed:
+            governing, slowest = i, bound
+    return governing, slowest

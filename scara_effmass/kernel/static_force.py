@@ -69,11 +69,24 @@ def smaller_force(force: float, n: Vector3, count: int, setup: Setup, work: Work
 
 
 @inlined
+def least_holding_force(count: int, setup: Setup, work: Work) -> float:
+    """Return the force [N] along any unit vector up to which no joint reaches its effort limit."""
+    force = math.inf
+    for j in range(count):
+        lever = norm(vector_at(work.jacobian, j))
+        if lever > MIN_LEVER_M:
+            force = min(force, (setup.effort[j] - abs(work.gravity[j])) / lever)
+    return force
+
+
+@inlined
 def holding_force(
     approach: Approach, cases: Sequence[Case], changes: Sequence[Mobility], setup: Setup, work: Work
 ) -> float:
     """Return the contact force [N] up to which no joint reaches its effort limit."""
     force, alpha = math.inf, math.inf
+    if setup.counts_person:
+        return least_holding_force(approach.joints, setup, work)
     for i in range(push_count(approach, setup)):
         force = smaller_force(force, push_direction(i, approach, setup), approach.joints, setup, work)
     if setup.normal == Normal.FIXED or not approach.is_moving:

@@ -20,6 +20,7 @@ from scara_effmass.iso15066.limits import Limit
 from scara_effmass.model.lumping import is_scara, lumped_suffices
 from scara_effmass.reference.dynamics import RobotDynamics
 from scara_effmass.reference.mobility import Mobility, is_bounded
+from scara_effmass.reference.person import MIN_PERSON_SPEED, MovingPerson
 from scara_effmass.reference.pose_state import X_AXIS, ContactState
 from scara_effmass.reference.speed_limit import DrivePush, speed_limit
 from scara_effmass.settings import ContactType, Drives, MassModel, MonitorSettings
@@ -219,7 +220,10 @@ class ContactAssessor:
                 return Reason.NO_WORST_MASS, (code,)
             is_iso = code is ModelCode.ISO
             direction = X_AXIS if self.direction is None else self.direction
-            mobility = Mobility.of_mass(mass, direction) if is_iso else self.contact.mobility(code, self.direction)
+            if is_iso:
+                mobility = Mobility.of_any_direction(mass, direction)
+            else:
+                mobility = self.contact.mobility(code, self.direction)
             models.append(DecidingModel(code, mass, worst, mobility))
         self.models = models
         return Reason.NONE, ()
@@ -266,7 +270,8 @@ class ContactAssessor:
             min_speed, either_way = self._share * self.contact.speed, self._share == MIN_NORMAL_COMPONENT
             return mobility.along(self._fixed_normal, min_speed, either_way=either_way)
         if self.direction is None:
-            return Mobility.of_mass(mobility.worst_mass, X_AXIS)
+            is_anywhere = self.contact.rank == len(X_AXIS)
+            return (Mobility.of_any_direction if is_anywhere else Mobility.of_mass)(mobility.worst_mass, X_AXIS)
         if self.settings.contact_normal == "velocity":  # of the first touch, as in the paper and the standard
             return Mobility.of_mass(mobility.effective_mass(self.direction), self.direction)
         return mobility
@@ -283,25 +288,58 @@ class ContactAssessor:
         """Return the contact force [N] up to which no joint reaches its effort limit.
 
         Above it, computed torque no longer holds: saturated joints yield, the others push on, and the arm can hit
-        again, faster. The force acts along `_directions`, and with any normal also along the worst one.
+        again, faster. The force acts along `_directions`, and with any normal also along the worst one; that on a
+        person who moves acts along any vector.
         """
+        if self.settings.counts_person_velocity:
+            return self.contact.least_holding_force
         normals = self._directions()
         if self.settings.contact_normal == "worst" and self.direction is not None:
             alpha = min(case.obstacle_mobility for case in self.cases)
             normals += [m.mobility.worst_normal(alpha) for m in self.models if m.code is not ModelCode.ISO]
         return self.contact.holding_force(normals)
 
+    @cached_property
+    def _person(self) -> MovingPerson | None:
+        """The person whose velocity counts as a vector; None if no person moves, or the contact normal is known."""
+        settings, direction = self.settings, self._person_direction
+        if not settings.counts_person_velocity:
+            return None
+        person_speed = max(settings.person_speed, MIN_PERSON_SPEED)
+        return MovingPerson(person_speed, None if self.direction is None else direction)
+
+    @property
+    def _person_direction(self) -> FloatArray | None:
+        """The direction to the person in base axes; None for any."""
+        settings = self.settings
+        direction = settings.fixed_person_direction
+        if direction is None:
+            return None
+        return self.state.in_base(direction, settings.person_direction_frame, "person_direction_frame")
+
+    @cached_property
+    def _person_share(self) -> float:
+        """Share of the person's speed that adds to the robot's along a known contact normal, either way."""
+        if self.settings.counts_person_velocity:
+            return 0.0
+        normal = self.direction if self._fixed_normal is None else self._fixed_normal
+        if normal is None or self._person_direction is None:
+            return 1.0
+        return max(abs(float(normal @ self._person_direction)), MIN_NORMAL_COMPONENT)
+
     def _max_speed(self, worst_mass: float) -> SpeedLimit:
         """Return the speed limit with drives; the uncertainty of the mass makes every mass larger."""
         settings, factor = self.settings, 1.0 + self.settings.mass_uncertainty
-        push, max_force = None, math.inf
+        push, max_force, person = None, math.inf, self._person
         if settings.drives is Drives.SERVO:
             clamping_limit = settings.external_force_limit or math.inf
             push = DrivePush(self.contact.drive_acceleration(), 1.0 / worst_mass / factor, clamping_limit)
             if settings.servo.computed_torque:
                 max_force = self._holding_force()
+        if person is not None and self.contact.rank < len(X_AXIS):
+            push = None  # where the point does not move, the drives have no least mobility
         mobilities = [mobility.with_masses(factor) for mobility in self._mobilities()]
-        return speed_limit(self.cases, mobilities, push, max_force)
+        return speed_limit(self.cases, mobilities, push, max_force, person)
 
     def _limit_speed(self, result: ContactResult) -> None:
         """Add masses, forces, allowable speed and verdict to `result`."""
@@ -315,7 +353,8 @@ class ContactAssessor:
         found = self._max_speed(worst_mass)
         limit, m_h = found.limit, found.limit.body_mass_kg
         mu = min(reduced_mass(mass, m_h), cap)  # Eq. 16
-        closing_speed = settings.person_speed + settings.speed_uncertainty + self.speed_tolerance
+        person_speed = settings.person_speed * self._person_share
+        closing_speed = person_speed + settings.speed_uncertainty + self.speed_tolerance
         nominal_speed = (found.allowable_speed - closing_speed) / self._share  # below 0 if the person is too fast
         result.effective_mass, result.mass_capped, result.mass_model = min(mass, cap), mass > cap, decides.code
         result.worst_direction_mass = min(cap, worst_mass)  # the cap for NaN: the safe side
@@ -329,14 +368,14 @@ class ContactAssessor:
         result.contact_energy = transferred_energy(speed + settings.person_speed, mu)  # Eqs. 31-33
         result.force_bound = found.force(speed * self._share + closing_speed, cap)
         result.allowable_speed = max(0.0, nominal_speed)
-        self._judge(result, mass, nominal_speed)
+        self._judge(result, mass, nominal_speed, found.allowable_speed)
         if settings.drives is Drives.SERVO:  # it pushes no further than its reference moves on
             result.clamping_force = min(result.clamping_force, result.force_bound)
         elif result.clamping_force > min(case.force for case in self.cases):
             result.allowable_speed, result.verdict = 0.0, Verdict.VIOLATION
             result.reason, result.reason_values = Reason.CLAMPED, (result.clamping_force,)
 
-    def _judge(self, result: ContactResult, mass: float, nominal_speed: float) -> None:
+    def _judge(self, result: ContactResult, mass: float, nominal_speed: float, limit_speed: float) -> None:
         """Add the verdict on this joint state alone, and why it is not OK."""
         settings, speed = self.settings, self.contact.speed
         result.verdict = Verdict.OK
@@ -352,7 +391,12 @@ class ContactAssessor:
             result.reason = result.reason or Reason.LIGHT_MODEL
         if result.reason:
             masses = (result.effective_mass, best_mass) if is_light else ()
-            result.reason_values = (speed, result.allowable_speed, result.criterion, result.body_region, *masses)
+            speeds, share, person_speed = (speed, result.allowable_speed), self._person_share, settings.person_speed
+            if result.reason is Reason.TOO_FAST and person_speed > 0.0 and limit_speed <= person_speed * share:
+                result.reason = Reason.PERSON_TOO_FAST
+                rest = limit_speed / share if share else limit_speed + person_speed
+                speeds = person_speed, max(0.0, rest)
+            result.reason_values = (*speeds, result.criterion, result.body_region, *masses)
 
 
 def _vector(vector: FloatArray) -> Vector3:

@@ -66,13 +66,15 @@ class Mobility:
     """Mobility A = U diag(a) U^T of a contact point that hits along the unit vector `direction` n.
 
     `values` are the eigenvalues a [1/kg] and `axes` U their directions, of the dimensions in which the point moves.
-    `change` is that of the pose during the contact; None if it does not count.
+    `change` is that of the pose during the contact; None if it does not count. `across` [1/kg] is the mobility across
+    the axes, which counts for the velocity of a person: 0 where the point does not move.
     """
 
     values: FloatArray
     axes: FloatArray
     direction: FloatArray
     change: PoseChange | None = None
+    across: float = 0.0
 
     @classmethod
     def of_matrix(
@@ -86,6 +88,11 @@ class Mobility:
     def of_mass(cls, mass: float, direction: FloatArray, change: PoseChange | None = None) -> Mobility:
         """Return the mobility of one effective `mass` [kg], which may be infinite, along `direction`."""
         return cls(np.array([1.0 / mass]), direction[:, None], direction, change)
+
+    @classmethod
+    def of_any_direction(cls, mass: float, direction: FloatArray) -> Mobility:
+        """Return the mobility of one effective `mass` [kg] that is the same in every direction."""
+        return replace(cls.of_mass(mass, direction), across=1.0 / mass)
 
     @property
     def trace(self) -> float:
@@ -105,7 +112,7 @@ class Mobility:
     def with_masses(self, factor: float) -> Mobility:
         """Return the mobility of a robot whose masses are `factor` times as large: A / factor."""
         change = self.change and replace(self.change, mobility_rate=self.change.mobility_rate / factor)
-        return replace(self, values=self.values / factor, change=change)
+        return replace(self, values=self.values / factor, change=change, across=self.across / factor)
 
     def along(self, normal: FloatArray, min_speed: float, *, either_way: bool) -> Mobility:
         """Return the mobility of a contact with the unit `normal`: n^T A n, at least `min_speed` [m/s] along it.

@@ -213,6 +213,14 @@ class ContactState:
             return math.inf
         return max([0.0, *self.static_forces(directions)])
 
+    @property
+    def least_holding_force(self) -> float:
+        """Force [N] along any unit vector up to which no joint reaches its effort limit."""
+        levers = np.linalg.norm(self.jacobian, axis=0)
+        loaded = levers > MIN_LEVER_M
+        margin = self.state.dynamics.robot.effort_limits - np.abs(self.state.gravity)
+        return float(np.min(margin[loaded] / levers[loaded], initial=math.inf))
+
     def holding_force(self, directions: Sequence[FloatArray]) -> float:
         """Return the force [N] up to which no joint reaches its effort limit, along any of `directions`."""
         return min(self.static_forces(directions), default=math.inf)

@@ -11,6 +11,7 @@ from scara_effmass.iso15066.allowable_speed import ContactCase, SpeedLimit, max_
 from scara_effmass.iso15066.contact import contact_time
 from scara_effmass.iso15066.drives import Line
 from scara_effmass.reference.mobility import Mobility
+from scara_effmass.reference.person import MovingPerson, person_speed_limit
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,28 +37,43 @@ def speed_limit(
     mobilities: Sequence[Mobility],
     push: DrivePush | None = None,
     max_force: float = math.inf,
+    person: MovingPerson | None = None,
 ) -> SpeedLimit:
     """Return the smallest allowable speed of all `cases` and all `mobilities`, the relative speed of robot and person.
 
+    With a `person` it is the speed of the robot alone, negative if the person is too fast for a robot at rest.
     With a `push`, two bounds of the force hold, so the one that allows the higher speed counts: the simulated servo, up
     to the contact force `max_force` [N], and free joints under the constant force of `push`.
     """
-    return min((_of_case(case, mobilities, push, max_force) for case in cases), key=_speed)
+    return min((_of_case(case, mobilities, push, max_force, person) for case in cases), key=_speed)
 
 
 def _speed(found: SpeedLimit) -> float:
     return found.allowable_speed
 
 
-def _of_case(case: ContactCase, mobilities: Sequence[Mobility], push: DrivePush | None, max_force: float) -> SpeedLimit:
-    found = min((_of_mobility(case, m, case.lines_for(m.trace), max_force) for m in mobilities), key=_speed)
-    return found if push is None else max(found, _pushed(case, mobilities, push), key=_speed)
+def _of_case(
+    case: ContactCase,
+    mobilities: Sequence[Mobility],
+    push: DrivePush | None,
+    max_force: float,
+    person: MovingPerson | None,
+) -> SpeedLimit:
+    found = min((_of_mobility(case, m, case.lines_for(m.trace), max_force, person) for m in mobilities), key=_speed)
+    return found if push is None else max(found, _pushed(case, mobilities, push, person), key=_speed)
 
 
 def _of_mobility(
-    case: ContactCase, mobility: Mobility, lines: Sequence[Line], max_force: float = math.inf
+    case: ContactCase,
+    mobility: Mobility,
+    lines: Sequence[Line],
+    max_force: float = math.inf,
+    person: MovingPerson | None = None,
 ) -> SpeedLimit:
     """Return the bound F = u sqrt(mu k), where 1/mu(n) >= alpha + beta n^T A n holds for every one of the `lines`."""
+    if person is not None:
+        force = max(0.0, min(case.force, max_force))
+        return max((person_speed_limit(case, mobility, line, person, force) for line in lines), key=_speed)
     mu, (alpha, beta) = min(((mobility.reduced_mass(*line), line) for line in lines), key=lambda bound: bound[0])
     growth = 0.0
     if mobility.change is not None and mu < math.inf:
@@ -67,13 +83,18 @@ def _of_mobility(
     return case.speed_limit(mu, growth, max_force)
 
 
-def _pushed(case: ContactCase, mobilities: Sequence[Mobility], push: DrivePush) -> SpeedLimit:
+def _pushed(
+    case: ContactCase, mobilities: Sequence[Mobility], push: DrivePush, person: MovingPerson | None
+) -> SpeedLimit:
     """Return the bound F = P + sqrt(P^2 + k mu u^2) of free joints and the push P; 0 from 2 P = F on."""
     force = push.force(case.obstacle_mobility)
     square = case.force * (case.force - 2.0 * force)
     if not square > 0.0:
-        return SpeedLimit(0.0, case.limit, 0.0, case.stiffness, force)
+        return SpeedLimit(-person.speed if person else 0.0, case.limit, 0.0, case.stiffness, force)
     free = ((case.obstacle_mobility, 1.0),)
+    if person is not None:
+        found = min((_of_mobility(case, m, free, math.sqrt(square), person) for m in mobilities), key=_speed)
+        return replace(found, push=force)
     found = min((_of_mobility(case, mobility, free) for mobility in mobilities), key=_speed)
     speed = max_speed(math.sqrt(square / (found.reduced_mass * case.stiffness)), found.growth)
     return replace(found, allowable_speed=speed, push=force)

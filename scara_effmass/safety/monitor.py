@@ -160,6 +160,7 @@ class Monitor:
             self.dynamics.robot.rebuild(settings)
         self.dynamics.frame_index(settings.contact_normal_frame, "contact_normal_frame")
         self.dynamics.frame_index(settings.test_direction_frame, "test_direction_frame")
+        self.dynamics.frame_index(settings.person_direction_frame, "person_direction_frame")
         return limits_for(settings)
 
     def apply(self, settings: MonitorSettings) -> None:

@@ -76,6 +76,10 @@ TEXTS = {
     ),
     Reason.TOO_FAST: "{v[0]:.3f} m/s is above the {v[1]:.3f} m/s that the {criterion} limit of {region} allows",
     Reason.NEAR_LIMIT: "{v[0]:.3f} m/s is close to the {v[1]:.3f} m/s that the {criterion} limit of {region} allows",
+    Reason.PERSON_TOO_FAST: (
+        "a person at {v[0]:.3f} m/s leaves no speed: the {criterion} limit of {region} allows {v[1]:.3f} m/s with the "
+        "robot at rest: state a lower person_speed, its direction or other body_regions, or lower the moving mass"
+    ),
     Reason.LIGHT_MODEL: "the {choice} mass of {v[4]:.3g} kg is below the {best} model's {v[5]:.3g} kg",
     Reason.ASSUMED: "{assumed}",
     Reason.CLAMPED: "the drives can clamp with {v[0]:.0f} N, above the {weakest}, at any speed",
@@ -173,7 +177,7 @@ class ReasonTexts:
         fields = dict(self.fixed)
         fields |= {"v": numbers, "detail": details[int(reason[DETAIL])]}
         fields |= {"joint": self.joints[joint], "unit": self.units[joint]}
-        is_speed = code in {Reason.TOO_FAST, Reason.NEAR_LIMIT}
+        is_speed = code in {Reason.TOO_FAST, Reason.NEAR_LIMIT, Reason.PERSON_TOO_FAST}
         if is_speed:
             fields |= {"criterion": CRITERIA[int(numbers[2])], "region": self.regions[int(numbers[3])]}
         elif code is Reason.NO_LUMPED_MASS:

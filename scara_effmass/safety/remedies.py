@@ -62,6 +62,10 @@ REMEDIES = {
     Reason.NO_WORST_MASS: MODEL,
     Reason.TOO_FAST: SLOWER,
     Reason.NEAR_LIMIT: SLOWER,
+    Reason.PERSON_TOO_FAST: (
+        "keep walking people away and lower `person_speed`, or state `person_direction`; keep that body region out of "
+        "reach and state the others; or lower the moving mass"
+    ),
     Reason.LIGHT_MODEL: "choose effective_mass_model auto, full or largest",
     Reason.ASSUMED: "state it by its option or in the robot file; or accept it by its name in `accept_assumptions`",
     Reason.CLAMPED: "lower the effort limits, or set `external_force_limit` of a safety function",

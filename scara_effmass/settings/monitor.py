@@ -182,7 +182,17 @@ class MonitorSettings(FrozenSettings):
     speed_threshold: float = tunable(
         0.005, "speed below which the direction is undefined and the worst one is used [m/s]", gt=0.0, le=1.0
     )
-    person_speed: float = tunable(0.0, "speed of the person towards the robot [m/s]", ge=0.0, le=10.0)
+    person_speed: float = tunable(
+        0.0,
+        "largest speed of the person, in any direction [m/s]: 1.6 for walking, 2.0 for reaching (ISO 13855)",
+        ge=0.0,
+        le=10.0,
+    )
+    person_direction: tuple[Component, Component, Component] = tunable(
+        (0.0, 0.0, 0.0),
+        "direction from the robot to the person, who moves against it and in no other; 0 0 0: any direction",
+    )
+    person_direction_frame: str = tunable("", "frame of person_direction, from the robot description; empty: the base")
     warn_ratio: float = tunable(0.8, "fraction of the allowable speed above which the verdict is WARN", gt=0.0, le=1.0)
     reference_speed: float = tunable(
         0.0,
@@ -332,6 +342,16 @@ class MonitorSettings(FrozenSettings):
     def fixed_test_direction(self) -> Vector3 | None:
         """Unit vector of `test_direction` in `test_direction_frame`, or None."""
         return _normalized(*self.test_direction)
+
+    @property
+    def fixed_person_direction(self) -> Vector3 | None:
+        """Unit vector of `person_direction` in `person_direction_frame`, or None."""
+        return _normalized(*self.person_direction)
+
+    @property
+    def counts_person_velocity(self) -> bool:
+        """Whether the velocity of the person counts as a vector; for a known contact normal only a part of it does."""
+        return self.person_speed > 0.0 and self.contact_normal == "worst"
 
     @property
     def payload(self) -> Payload:
