@@ -50,6 +50,7 @@ OTHERS = st.fixed_dictionaries(
         "mass_uncertainty": st.sampled_from([0.0, 0.1, 1.0]),
         "model_margin": st.sampled_from([0.0, 0.1, 0.6, 1.0]),
         "person_speed": st.sampled_from([0.0, 0.2, 1.6]),
+        "person_direction": st.sampled_from([(0.0, 0.0, 0.0), (1.0, -1.0, 0.5)]),
         "stiffness_uncertainty": st.sampled_from([0.0, 0.2]),
         "body_regions": st.sampled_from([(), ("chest",), ("hand_fingers", "back_shoulders")]),
         "test_direction": st.sampled_from([(0.0, 0.0, 0.0), (1.0, 0.0, 2.0)]),

@@ -186,6 +186,7 @@ def test_assessment_agrees_with_masses_and_limits(
     codes, allowed = [ModelCode[m.name] for m in models], {}
     for limit in limits_for(settings):
         allowed[limit.region] = min(bounding_speed(at, code, iso_mass, limit, settings) for code in codes)
+    assume(settings.person_speed == 0.0 or settings.contact_normal != "worst")  # test_person checks this
     share = 1.0
     if settings.fixed_normal is not None and direction is not None:
         share = max(abs(float(np.dot(settings.fixed_normal, direction))), 0.1)
@@ -275,12 +276,34 @@ def test_higher_uncertainty_never_raises_the_allowable_speed(
 
 
 @given(positions, velocities, st.sampled_from(["person_speed", "speed_uncertainty"]), st.floats(0.0, 2.0))
-def test_closing_speed_is_subtracted(scara: RobotDynamics, q: Vector, qd: Vector, name: str, closing: float) -> None:
-    alone, closer = assess_one(scara, q, qd), assess_one(scara, q, qd, **{name: closing})
+def test_closing_speed_is_subtracted_along_the_velocity(
+    scara: RobotDynamics, q: Vector, qd: Vector, name: str, closing: float
+) -> None:
+    alone, closer = (assess_one(scara, q, qd, contact_normal="velocity", **more) for more in ({}, {name: closing}))
     assert closer.allowable_speed == pytest.approx(max(0.0, alone.allowable_speed - closing), abs=1e-12)
     assert closer.predicted_force >= alone.predicted_force
     if not 0.0 < closing <= 1e-12:  # rounding decides
         assert (closer.predicted_force > alone.predicted_force) == (name == "person_speed" and closing > 0.0)
+
+
+@given(positions, velocities, st.floats(0.001, 1.0))
+def test_person_from_any_side_leaves_less_speed_than_one_along_the_velocity(
+    scara: RobotDynamics, q: Vector, qd: Vector, person_speed: float
+) -> None:
+    alone, closer = assess_one(scara, q, qd), assess_one(scara, q, qd, person_speed=person_speed)
+    assert closer.allowable_speed <= max(0.0, alone.allowable_speed - person_speed) + 1e-9
+    assert closer.force_bound >= closer.predicted_force
+
+
+def test_part_of_the_person_along_a_known_normal_counts(scara: RobotDynamics) -> None:
+    q, qd = (0.3, 1.2, 0.1, 0.0), (0.5, 0.3, 0.01, 0.1)
+    speeds = [
+        assess_one(scara, q, qd, contact_normal="0 0 1", person_speed=0.2, person_direction=towards).allowable_speed
+        for towards in ((0.0, 0.0, 0.0), (0.0, 0.0, -2.0), (0.6, 0.0, 0.8), (1.0, 0.0, 0.0))
+    ]
+    alone = assess_one(scara, q, qd, contact_normal="0 0 1").allowable_speed
+    share = (alone - speeds[0]) / 0.2
+    assert speeds == pytest.approx([alone - share * 0.2 * part for part in (1.0, 1.0, 0.8, 0.1)])
 
 
 def test_what_the_velocity_check_lets_pass_is_added_to_the_speed(scara: RobotDynamics) -> None:
