@@ -36,7 +36,7 @@ def worst_energy(matrix: FloatArray, velocity: FloatArray, person_speed: float, 
     u /= np.linalg.norm(u, axis=1, keepdims=True) / person_speed
     for _ in range(3000):
         gradient = (velocity - u) @ matrix
-        u = -person_speed * gradient / np.linalg.norm(gradient, axis=1, keepdims=True)
+        u = -person_speed * gradient / np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-300)
     w = velocity - u
     return float(np.max(np.einsum("ni,ij,nj->n", w, matrix, w)))
 
@@ -140,16 +140,17 @@ def test_faster_person_leaves_less_speed(seed: int, one: float, other: float) ->
     push = DrivePush(50.0, 0.05)
     for drives in (None, push):
         allowed = [speed_limit([CASE], mobilities, drives, person=MovingPerson(v, None)) for v in (slow, fast)]
-        assert allowed[1].allowable_speed <= allowed[0].allowable_speed * (1.0 + 1e-9)
+        assert allowed[1].allowable_speed <= allowed[0].allowable_speed + 1e-9
 
 
 @given(SEEDS)
 def test_slow_person_changes_little(seed: int) -> None:
-    mobilities = [Motion(seed).moving()]
-    alone = speed_limit([CASE], mobilities)
-    slow = speed_limit([CASE], mobilities, person=MovingPerson(1e-6, None))
+    moving = Motion(seed).moving()
+    for mobility in (moving, replace(moving, change=None)):
+        alone = speed_limit([CASE], [mobility])
+        slow = speed_limit([CASE], [mobility], person=MovingPerson(1e-6, None))
+        assert slow.allowable_speed <= alone.allowable_speed + 1e-9
     assert slow.allowable_speed == pytest.approx(alone.allowable_speed, rel=1e-3)
-    assert slow.allowable_speed <= alone.allowable_speed * (1.0 + 1e-9)
 
 
 def test_clamped_body_part_does_not_meet_a_point_that_cannot_move() -> None:
