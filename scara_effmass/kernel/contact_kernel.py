@@ -56,9 +56,6 @@ class ContactKernel:
         has_masses = not robot.masses_reason
         is_servo, clamps = settings.drives is Drives.SERVO, settings.contact is ContactType.QUASI_STATIC
         joints = range(1, model.njoints)
-        normal_joint, normal = self._direction(settings.fixed_normal, settings.contact_normal_frame)
-        test_joint, test = self._direction(settings.fixed_test_direction, settings.test_direction_frame)
-        person_joint, person = self._direction(settings.fixed_person_direction, settings.person_direction_frame)
         bodies = [list(of_model.inertias)[1:] for of_model in models]
         return Setup(
             joints=model.nv,
@@ -74,11 +71,8 @@ class ContactKernel:
             lever=np.array([[body.lever for body in of_model] for of_model in bodies]),
             inertia=np.array([[body.inertia for body in of_model] for of_model in bodies]),
             coupling=robot.rotors.coupling,
-            normal_joint=normal_joint,
-            normal_vector=normal,
+            **self._directions(settings),
             has_test=settings.fixed_test_direction is not None,
-            test_joint=test_joint,
-            test_vector=test,
             has_lumped=lumped is not None,
             has_full=not dynamics.full_reason,
             is_lumped_regular=lumped is None or lumped.is_regular,
@@ -93,8 +87,6 @@ class ContactKernel:
             needs_gravity=is_servo or clamps,
             counts_person=settings.counts_person_velocity,
             has_person_direction=settings.fixed_person_direction is not None,
-            person_joint=person_joint,
-            person_vector=person,
             model=MODELS.index(settings.effective_mass_model),
             normal=NORMALS.index(settings.contact_normal) if settings.fixed_normal is None else int(Normal.FIXED),
             iso_mass=robot.iso_mass if has_masses else 0.0,
@@ -112,6 +104,18 @@ class ContactKernel:
             max_drive_time=max(case.drive_time or 0.0 for case in cases),
             gravity=model.gravity.linear,
         )
+
+    def _directions(self, settings: MonitorSettings) -> dict[str, Any]:
+        """Return the fields of the directions that settings state."""
+        stated = {
+            "normal": (settings.fixed_normal, settings.contact_normal_frame),
+            "test": (settings.fixed_test_direction, settings.test_direction_frame),
+            "person": (settings.fixed_person_direction, settings.person_direction_frame),
+        }
+        fields: dict[str, Any] = {}
+        for name, (vector, frame) in stated.items():
+            fields[f"{name}_joint"], fields[f"{name}_vector"] = self._direction(vector, frame)
+        return fields
 
     def _direction(self, vector: Vector3 | None, name: str) -> tuple[int, FloatArray]:
         """Return the joint that carries the frame `name`, -1 for the base, and `vector` in the axes of that joint."""

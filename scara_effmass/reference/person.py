@@ -18,7 +18,6 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import brentq
 
 from scara_effmass.iso15066.allowable_speed import ContactCase, SpeedLimit
 from scara_effmass.iso15066.contact import contact_time
@@ -135,6 +134,8 @@ class PersonContact:
 
         least = max(heaviest * (1.0 + MIN_EXCESS), *(k * (1.0 + v / v_p) for k, v in speeds))
         most = (heaviest + math.hypot(*(k * v for k, v in speeds)) / v_p) * (1.0 + ROUNDING)
+        from scipy.optimize import brentq  # noqa: PLC0415 - slow, and the kernel does without it
+
         multiplier = least
         if excess(least) > 0.0:
             multiplier = float(brentq(excess, least, most, xtol=1e-300, rtol=1e-12))
@@ -159,6 +160,8 @@ class PersonContact:
         fastest = root / math.sqrt(self.reduced_mass)
         if self.root(fastest) <= root:
             return fastest
+        from scipy.optimize import brentq  # noqa: PLC0415 - slow, and the kernel does without it
+
         return float(brentq(lambda s: self.root(s) - root, 0.0, fastest, xtol=1e-300, rtol=1e-14))
 
 

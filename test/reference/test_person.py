@@ -107,7 +107,7 @@ def test_growth_bounds_the_change_of_the_energy(
     def energies(t: float) -> FloatArray:
         mobility = motion.mobility + pace * t * (motion.rate + motion.rate.T)
         w = pace * motion.velocity + pace**2 * t * motion.accelerations[0] - people
-        return np.einsum("ni,ij,nj->n", w, mass_matrix(mobility, line), w)
+        return np.asarray(np.einsum("ni,ij,nj->n", w, mass_matrix(mobility, line), w))
 
     rates = (energies(h) - energies(-h)) / (2.0 * h)
     bound = contact.growth.rate(speed)

@@ -54,7 +54,7 @@ IMPORTERS = {
     "matplotlib": {"analysis", "studies"},
     "numba": {"kernel"},
     "pyarrow": {"analysis", "bags", "studies"},
-    "scipy": {"analysis", "cell", "daq", "impacts", "iso15066", "sim", "studies"},
+    "scipy": {"analysis", "cell", "daq", "impacts", "iso15066", "reference", "sim", "studies"},
 }
 """The rooms that may import a library."""
 MESSAGE_IMPORTERS = {"nodes", "wire", "cli"}
