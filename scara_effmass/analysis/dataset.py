@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -182,6 +182,14 @@ def assess_part(
     with atomic_file(file, overwrite=True) as unfinished:
         unfinished.write_bytes(_RECORD.dump_json(record))
     return result
+
+
+def remove_unfinished(folder: Path, bags: Iterable[Path]) -> None:
+    """Remove from a local `folder` what killed processes have left of the parts of `bags`."""
+    stems = {bag.stem for bag in bags}
+    for file in () if isinstance(folder, Url) else folder.rglob(".*.parquet"):
+        if file.name[1:].rsplit("-", 2)[0] in stems:
+            file.unlink(missing_ok=True)
 
 
 def _read_record(file: Path) -> Record:

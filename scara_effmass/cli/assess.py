@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 from scara_effmass.analysis.assessment import Time, input_lines
-from scara_effmass.analysis.dataset import BagResult, BagTask, assess_bag, assess_part, cell_of
+from scara_effmass.analysis.dataset import BagResult, BagTask, assess_bag, assess_part, cell_of, remove_unfinished
 from scara_effmass.analysis.summary import Summary
 from scara_effmass.analysis.tables import open_writer, provenance
 from scara_effmass.bags.files import bag_bytes, find_bags
@@ -60,8 +60,7 @@ def assess(
     """
     properties = import_module("scara_effmass.analysis.properties") if args.properties else None
     settings = monitor_settings(args)
-    dynamics = load_dynamics(settings)
-    robot = dynamics.robot
+    robot = (dynamics := load_dynamics(settings)).robot
     Monitor(dynamics, settings)  # raises for missing limits before any file is written
     paths = [path for folder in args.bags for path in find_bags(folder)]
     task = BagTask(settings, Time(args.time), args.topic, args.velocity_bag, bool(args.report), args.cross_check)
@@ -81,6 +80,7 @@ def assess(
         report = RunReport(args.report, figures, settings, page, overwrite=args.force)
     with ExitStack() as stack:
         origin = provenance(settings, robot.origin, paths) | {"input": json.dumps(input_notes)}
+        stack.callback(remove_unfinished, args.output, paths)
         is_small = sum(map(bag_bytes, paths)) < SMALL_BYTES
         run_tasks = stack.enter_context(open_run(args, "recordings", is_small=is_small))
         if not args.output.suffix:

@@ -16,6 +16,7 @@ from scara_effmass_msgs.msg import ContactState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from scara_effmass.codes import Assumption
 from test.nodes.conftest import JOINTS, TIMEOUT_S, Answer, NodeHarness, Q, joint_state, stamp_ns
 
 S = 1_000_000_000
@@ -187,7 +188,8 @@ def test_watchdog_speaks_while_a_callback_takes_long(
 
 
 def test_latch_survives_a_new_robot_and_cleanup_and_ends_by_reset(new_harness: Callable[..., NodeHarness]) -> None:
-    options = ("latch:=true", "await_robot_description:=true", "effective_mass_model:=full")
+    accepted = "accept_assumptions:=[" + ", ".join(assumption.name.lower() for assumption in Assumption) + "]"
+    options = ("latch:=true", "await_robot_description:=true", "effective_mass_model:=full", accepted)
     harness = new_harness(*PATIENT, *(word for option in options for word in ("-p", option)))
     harness.subscribe()
     descriptions = harness.node.create_publisher(String, "robot_description", LATCHED)

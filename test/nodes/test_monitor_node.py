@@ -40,7 +40,10 @@ VECTORS = {
     "payload_inertia": "list of 6 numbers from -10000 to 10000",
     "test_direction": "list of 3 numbers from -1e+06 to 1e+06",
 }
-FREE_TEXT = {"robot", "payload_topic", "contact_normal", "contact_normal_frame", "test_direction_frame"}
+FREE_TEXT = {
+    *("robot", "payload_topic", "contact_normal", "contact_normal_frame"),
+    *("person_direction_frame", "test_direction_frame"),
+}
 READ_ONLY_NAMES = {name for name, field in flat_fields(MonitorSettings).items() if field.json_schema_extra == READ_ONLY}
 
 
