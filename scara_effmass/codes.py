@@ -82,6 +82,7 @@ class Assumption(IntEnum):
     PERSON_SPEED = 6
     CONTACT_POINTS = 7
     MASSES = 8
+    ACCELERATION = 9
 
 
 class ModelCode(IntEnum):

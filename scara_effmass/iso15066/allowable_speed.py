@@ -15,6 +15,9 @@ from scara_effmass.settings import Drives, MonitorSettings
 
 MIN_EFFECTIVE_MASS = 1e-6
 """Smallest effective mass [kg] for which a speed is computed: a lower one means that the robot model is wrong."""
+CLAMPED_SHARE = 0.7
+"""Share of the stopping time for which an acceleration counts: the force of a reference that gains a t is less than the
+largest force at the speed a t of its end. Above the largest one, 0.67, of simulated servos of 1 to 20 Hz."""
 TYPICAL_MASS = 2.0
 """Effective mass [kg] of the order of the contact cases."""
 
@@ -25,7 +28,7 @@ class SpeedLimit:
 
     `reduced_mass` [kg] is that of the bound, drives included. `push` [N] is the force of the drives, 0 unless their
     effort limits give the tighter bound. `stiffness` [N/m] includes its uncertainty. `growth` [s/m] covers the change
-    of pose during the contact: the speed v counts as v (1 + growth v).
+    of pose during the contact and `gain` [m/s] the acceleration: the speed v counts as v (1 + growth v) + gain.
     """
 
     allowable_speed: float
@@ -34,6 +37,7 @@ class SpeedLimit:
     stiffness: float
     push: float = 0.0
     growth: float = 0.0
+    gain: float = 0.0
 
     @property
     def criterion(self) -> Criterion:
@@ -41,14 +45,14 @@ class SpeedLimit:
         return self.limit.criterion
 
     def force(self, speed: float, max_mass: float = math.inf) -> float:
-        """Return the bound P + sqrt(P^2 + k mu u^2), u = v (1 + growth v), of the peak force [N] at `speed` v [m/s].
+        """Return the bound P + sqrt(P^2 + k mu u^2) of the peak force [N] at `speed` v [m/s], which counts as u.
 
         P is `push`, a constant force of the drives against the contact; without one this is u sqrt(mu k).
-        mu is at most `max_mass` [kg].
+        mu is at most `max_mass` [kg]; a larger one is that of a singular pose, and has no known growth.
         """
-        speed *= 1.0 + self.growth * speed
-        mass = max_mass if math.isinf(self.reduced_mass) else self.reduced_mass
-        energy = self.stiffness * mass * speed * speed
+        if self.reduced_mass < max_mass:
+            speed = speed * (1.0 + self.growth * speed) + self.gain
+        energy = self.stiffness * min(self.reduced_mass, max_mass) * speed * speed
         return self.push + math.sqrt(self.push * self.push + energy)
 
 
@@ -79,11 +83,22 @@ class ContactCase:
         simulated = len(self.lines) == 1 or mobility <= MAX_MOBILITY
         return self.lines if simulated else ((self.obstacle_mobility, 0.0),)
 
-    def speed_limit(self, reduced_mass: float, growth: float = 0.0, max_force: float = math.inf) -> SpeedLimit:
-        """Return the speed at which F = u sqrt(mu k), u = v (1 + growth v), reaches the limit, at most `max_force`."""
+    def contact_time(self, reduced_mass: float) -> float:
+        """Return the time [s] for which the pose changes."""
+        return self.drive_time or contact_time(reduced_mass, self.stiffness)
+
+    def acceleration_time(self, reduced_mass: float) -> float:
+        """Return the time [s] for which the acceleration counts."""
+        is_clamped = self.drive_time and not self.obstacle_mobility
+        return self.contact_time(reduced_mass) * (CLAMPED_SHARE if is_clamped else 1.0)
+
+    def speed_limit(
+        self, reduced_mass: float, growth: float = 0.0, max_force: float = math.inf, gain: float = 0.0
+    ) -> SpeedLimit:
+        """Return the speed v at which F = u sqrt(mu k) reaches the limit, at most `max_force`; v counts as u."""
         force = max(0.0, min(self.force, max_force))
-        speed = max_speed(force / math.sqrt(reduced_mass * self.stiffness), growth)
-        return SpeedLimit(speed, self.limit, reduced_mass, self.stiffness, growth=growth)
+        speed = max_speed(force / math.sqrt(reduced_mass * self.stiffness) - gain, growth)
+        return SpeedLimit(speed, self.limit, reduced_mass, self.stiffness, growth=growth, gain=gain)
 
     def speed_limit_of_mass(self, effective_mass: float) -> SpeedLimit:
         """Return the speed limit of one `effective_mass` [kg] in a pose that does not change."""
@@ -93,7 +108,7 @@ class ContactCase:
 
 
 def max_speed(speed: float, growth: float) -> float:
-    """Return v [m/s] with v (1 + growth v) = `speed`; 0 for a speed of 0, whatever the growth [s/m]."""
+    """Return v [m/s] with v (1 + growth v) = `speed`; a speed of at most 0 itself, whatever the growth [s/m]."""
     return 2.0 * speed / (1.0 + math.sqrt(1.0 + 4.0 * growth * speed)) if 0.0 < speed < math.inf else speed
 
 

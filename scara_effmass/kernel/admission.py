@@ -6,6 +6,8 @@ The velocities are compared with the positions over WINDOW_S. The error of a joi
 integral of its signed velocity, high-passed. Velocities that lag behind the positions by tau cause an error of tau
 times the high-passed velocity. A wrong size or sign causes an error in proportion to the low-passed velocity. That is
 uncorrelated with the high-passed velocity, on which a regression of the error therefore estimates tau alone.
+The acceleration is the low-passed difference quotient of the velocities. Its error is by how much it exceeds a slower
+one while the joint gets faster: it covers an acceleration that has just begun.
 """
 
 from __future__ import annotations
@@ -33,6 +35,8 @@ from scara_effmass.kernel.state import (
 from scara_effmass.values import FloatArray
 
 NANOSECONDS = 1_000_000_000
+FAST_S, SLOW_S = 0.02, 0.06
+"""Time constants [s] of the acceleration, and of the one that tells its error."""
 CONFIRMATION_NS = NANOSECONDS // 10
 """Time for which a joint must keep its position before its velocity of exactly zero is accepted."""
 WINDOW_S = 0.7
@@ -115,6 +119,7 @@ def begin_comparison(
         joint = joints[i]
         joint.position, joint.velocity, joint.mean_velocity = q[i], qd[i], qd[i]
         joint.error = joint.peak = joint.allowance = 0.0
+        joint.fast_acceleration = joint.slow_acceleration = 0.0
         joint.since_ns, joint.since_position = state.stamp_ns, q[i]
 
 
@@ -132,6 +137,7 @@ def check_velocities(
         begin_comparison(state, q, qd, memory, joints)
     seconds = (state.stamp_ns - memory.observed_ns) / 1e9
     memory.observed_ns = state.stamp_ns
+    fast, slow = math.exp(-seconds / FAST_S), math.exp(-seconds / SLOW_S)
     decay, gain = WINDOW_S / (WINDOW_S + seconds), seconds / WINDOW_S
     half_step, scale_step = 0.5 * seconds, rules.velocity_tolerance * seconds
     excitation = memory.lag_excitation
@@ -155,6 +161,10 @@ def check_velocities(
             is_wrong = True
             error = lag * change + math.copysign(min(abs(excess), MAX_EXCESS * tolerance), excess)
             joint.is_unconfirmed, joint.since_ns, joint.since_position = 1, state.stamp_ns, x
+        if seconds > 0.0:
+            rate = (v - joint.velocity) / seconds
+            joint.fast_acceleration = rate + fast * (joint.fast_acceleration - rate)
+            joint.slow_acceleration = rate + slow * (joint.slow_acceleration - rate)
         correlation += error * change
         excitation += change * change
         joint.position, joint.velocity, joint.error = x, v, error
@@ -236,6 +246,11 @@ def check(  # noqa: C901, PLR0911 - one check after the other
         return False
     for i in range(len(joints)):
         motion[2, i] += motion[3, i]
+        # One that reads zero has stopped: the estimate lags.
+        motion[3, i] = joints[i].fast_acceleration if motion[1, i] != 0.0 else 0.0
+        change = joints[i].fast_acceleration - joints[i].slow_acceleration
+        is_rising = change * motion[3, i] > 0.0 and motion[1, i] * motion[3, i] > 0.0
+        motion[4, i] = abs(change) if is_rising else 0.0
     elapsed_ns = state.stamp_ns - previous_ns
     if previous_ns != 0 and elapsed_ns > rules.timeout_ns:
         set_reason(state.reason, Reason.GAP, 0, elapsed_ns / 1e9, 0.0, 0.0)
@@ -248,7 +263,8 @@ def admit(
 ) -> None:
     """Admit or refuse N joint states in order.
 
-    `motions` (N, 4, n) are q, qd, the tolerances of qd, which are written here, and the change of a filtered qd.
+    `motions` (N, 5, n) are q, qd, tolerances of qd, qdd and its errors. The latter three are written here; in place of
+    qdd comes the change of a filtered qd.
     All but `motions` are the bytes of State, Rules, Memory and JointMemory: numba recognizes records slowly at a call.
     """
     joints: Any = joints_of.view(JOINT_MEMORY)

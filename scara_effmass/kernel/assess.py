@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from scara_effmass.codes import CriterionCode, Reason
+from scara_effmass.kernel.acceleration import set_acceleration, set_normal_acceleration
 from scara_effmass.kernel.codes import Model, Normal
 from scara_effmass.kernel.contact_point import (
     Approach,
@@ -15,7 +16,6 @@ from scara_effmass.kernel.contact_point import (
     drive_acceleration,
     fill_change,
     fill_held_change,
-    fill_jacobian_rate,
     held_mobility,
     in_base,
     squared_jacobian,
@@ -52,7 +52,7 @@ from scara_effmass.kernel.spatial import dot
 from scara_effmass.kernel.speed_limit import Bound, Drives, governing_case, governing_person_case
 from scara_effmass.kernel.state import STATE, VALUES, set_reason
 from scara_effmass.kernel.static_force import clamping_force, holding_force
-from scara_effmass.values import NO_MOBILITY, ZERO_VECTOR, FloatArray, Mobility6, Vector3, Verdict
+from scara_effmass.values import NO_MOBILITY, FloatArray, Mobility6, Vector3, Verdict
 
 EIGENVALUE_ROUNDING = 1e-12
 """Ratio of an eigenvalue of J_v J_v^T to its trace, up to which it counts as 0: its root would be rounding."""
@@ -63,6 +63,9 @@ _OK, _WARN, _VIOLATION = float(Verdict.OK), float(Verdict.WARN), float(Verdict.V
 @inlined
 def set_normal(out: Mobility, m: Mobility6, mass: float, worst: float, approach: Approach, setup: Setup) -> None:
     """Write the mobility of one model for the contact normal of the settings, after its change of pose."""
+    out.is_scalar = setup.normal != Normal.WORST or not approach.is_moving or approach.rank == 1
+    if out.is_scalar:
+        set_normal_acceleration(approach, setup, out)
     if setup.normal == Normal.FIXED:
         if out.change_rank > 0:
             either_way = approach.share == MIN_NORMAL_COMPONENT
@@ -84,6 +87,9 @@ def fill_principals(iso: int, count: int, approach: Approach, setup: Setup, work
         else:
             rank = 3 if i == iso else approach.rank
             set_single(work.principals[i], work.mobilities[i].matrix_trace, rank, dot(approach.direction, towards))
+            work.principals[i].speed_rate = work.mobilities[i].speed_rate
+        work.principals[i].error = work.mobilities[i].error
+        work.principals[i].error_root = work.mobilities[i].error_root
 
 
 @inlined
@@ -101,10 +107,8 @@ def person_share(approach: Approach, setup: Setup, work: Work) -> float:
 @inlined
 def fill_mobilities(choice: Choice, approach: Approach, setup: Setup, work: Work) -> tuple[int, int]:
     """Write the mobilities of the models that decide; return their number, and that with joints that are held."""
-    models, held = 0, ZERO_VECTOR
+    models, held = 0, approach.held
     changes = approach.is_moving and setup.normal != Normal.VELOCITY
-    if changes and (choice.takes.lumped or choice.takes.full):
-        held = fill_jacobian_rate(approach, setup, work)
     for k in range(3):
         if not choice.takes[k]:
             continue
@@ -114,6 +118,8 @@ def fill_mobilities(choice: Choice, approach: Approach, setup: Setup, work: Work
         if k == Model.ISO:
             set_scalar(any_normal, 1.0 / setup.iso_mass)
             set_scalar(out, 1.0 / setup.iso_mass)
+            set_acceleration(k, setup.iso_mass, approach, setup, work, out)
+            set_normal_acceleration(approach, setup, out)
             continue
         m = choice.full if k == Model.FULL else choice.lumped
         if approach.is_moving:
@@ -122,6 +128,7 @@ def fill_mobilities(choice: Choice, approach: Approach, setup: Setup, work: Work
             set_scalar(any_normal, 1.0 / work.worst[k])
         if changes:
             fill_change(k, m, approach, held, setup, work, out)
+        set_acceleration(k, work.worst[k], approach, setup, work, out)
         set_normal(out, m, work.masses[k], work.worst[k], approach, setup)
     count = models
     if setup.joints_are_held:
@@ -147,7 +154,9 @@ def add_held(
     out.change_rank, out.rank = 0, approach.rank
     if changes:
         fill_held_change(k, m, approach, held, work, out)
-    set_normal(out, m, mass_along(m, approach), worst_mass(m, approach.rank), approach, setup)
+    worst = worst_mass(m, approach.rank)
+    set_acceleration(k, worst, approach, setup, work, out)
+    set_normal(out, m, mass_along(m, approach), worst, approach, setup)
 
 
 @inlined
@@ -211,17 +220,24 @@ def fill_limits(
 
 
 @inlined
+def force_of(bound: Bound, case: Case, hit: float, setup: Setup) -> float:
+    """Return the bound of the force [N] of a contact at the speed `hit`."""
+    energy = bound.root * bound.root
+    if not setup.counts_person:
+        if bound.reduced_mass < setup.mass_cap:
+            hit = hit * (1.0 + bound.growth * hit) + bound.gain
+        energy = min(bound.reduced_mass, setup.mass_cap) * hit * hit
+    return bound.push + math.sqrt(bound.push * bound.push + case.stiffness * energy)
+
+
+@inlined
 def set_verdict(
     contact: Contact, case: Case, bound: Bound, mass: float, approach: Approach, setup: Setup, work: Work
 ) -> None:
     """Write the bound of the force, the allowable speed and the verdict."""
     share = person_share(approach, setup, work)
     closing_speed = setup.person_speed * share + setup.speed_uncertainty + approach.tolerance
-    hit = approach.speed * approach.share + closing_speed
-    hit *= 1.0 + bound.growth * hit
-    push, bound_mass = bound.push, bound.reduced_mass if bound.reduced_mass < math.inf else setup.mass_cap
-    energy = bound.root * bound.root if setup.counts_person else bound_mass * hit * hit
-    contact.force_bound = push + math.sqrt(push * push + case.stiffness * energy)
+    contact.force_bound = force_of(bound, case, approach.speed * approach.share + closing_speed, setup)
     nominal_speed = (bound.speed - closing_speed) / approach.share
     contact.allowable_speed = max(0.0, nominal_speed)
     verdict, code = _OK, Reason.NONE
@@ -276,10 +292,10 @@ def set_motion(contact: Contact, approach: Approach, choice: Choice, setup: Setu
 
 @inlined
 def assess_point(
-    setup: Setup, cases: Sequence[Case], work: Work, point: Point, tolerances: FloatArray, contact: Contact
+    setup: Setup, cases: Sequence[Case], work: Work, point: Point, motion: FloatArray, age: float, contact: Contact
 ) -> None:
     """Write the assessment of one contact point."""
-    approach = approach_of(point, tolerances, setup, work)
+    approach = approach_of(point, motion, age, setup, work)
     choice = choose_models(approach, setup, work)
     set_motion(contact, approach, choice, setup, work)
     error = choice.error
@@ -325,7 +341,7 @@ def assess_states(
 ) -> None:
     """Write in `numbers` (N, P, fields) the contacts of P points at the admitted ones of N joint states.
 
-    `rows` are the bytes of their States, `motions` (N, 4, n) q, qd, tolerances of qd, and one row that does not count;
+    `rows` are the bytes of their States, `motions` (N, 5, n) q, qd, tolerances of qd, qdd and its errors;
     `robot`, `at` and `limits` are the bytes of Setup, Points and Cases: numba recognizes records slowly at a call.
     `scratch` holds one Work: numba frees an array made here while its record is in use.
     """
@@ -336,7 +352,7 @@ def assess_states(
         if states[i].is_admitted == 0:
             continue
         for j in range(setup.joints):
-            work.qd[j] = motions[i, 1, j]
+            work.qd[j], work.errors[j] = motions[i, 1, j], motions[i, 4, j]
         fill_dynamics(motions[i, 0], setup, work)
         for p in range(len(points)):
-            assess_point(setup, cases, work, points[p], motions[i, 2], contacts[i, p, 0])
+            assess_point(setup, cases, work, points[p], motions[i], states[i].age, contacts[i, p, 0])

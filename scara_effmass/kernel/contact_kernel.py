@@ -94,6 +94,7 @@ class ContactKernel:
             mass_factor=1.0 + settings.mass_uncertainty,
             model_margin=settings.model_margin,
             speed_threshold=settings.speed_threshold,
+            max_acceleration=settings.max_acceleration,
             person_speed=settings.person_speed,
             speed_uncertainty=settings.speed_uncertainty,
             warn_ratio=settings.warn_ratio,

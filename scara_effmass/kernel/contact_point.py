@@ -43,7 +43,9 @@ class Approach(NamedTuple):
 
     The first `joints` joints can move it. `place` [m], `velocity` and the `tolerance` of the speed [m/s] are in base
     axes; `direction` is zero below the speed threshold. The part `share` of the speed counts along the fixed `normal`,
-    at least MIN_NORMAL_COMPONENT; it is 1 at rest and without a fixed normal.
+    at least MIN_NORMAL_COMPONENT; it is 1 at rest and without a fixed normal. Accelerations are those `shown` by the
+    joint states, J_v qdd, with its `error`, and of `held` joint velocities. If it `is_limited`, the error is the stated
+    limit of the acceleration.
     """
 
     joints: int
@@ -56,6 +58,10 @@ class Approach(NamedTuple):
     normal: Vector3
     share: float
     tolerance: float
+    shown: Vector3
+    held: Vector3
+    error: float
+    is_limited: bool
 
 
 @inlined
@@ -67,11 +73,14 @@ def in_base(joint: int, array: FloatArray, rotations: FloatArray) -> Vector3:
 
 
 @inlined
-def approach_of(point: Point, tolerances: FloatArray, setup: Setup, work: Work) -> Approach:
-    """Write the rows of J_v^T; return the motion of the contact point."""
+def approach_of(point: Point, motion: FloatArray, age: float, setup: Setup, work: Work) -> Approach:
+    """Write the rows of J_v^T and dJ_v^T/dt; return the motion of the contact point.
+
+    `motion` has the tolerances of qd in row 2, accelerations and their errors in rows 3 and 4; it is `age` [s] old.
+    """
     joint = point.joint
     place = add(vector_at(work.places, joint), in_base(joint, point.place, work.rotations))
-    velocity, tolerance = ZERO_VECTOR, 0.0
+    velocity, shown, tolerance, error = ZERO_VECTOR, ZERO_VECTOR, 0.0, 0.0
     for i in range(joint + 1):
         set_vector(work.jacobian, i, ZERO_VECTOR)
     j = joint
@@ -79,7 +88,9 @@ def approach_of(point: Point, tolerances: FloatArray, setup: Setup, work: Work) 
         column = shift_motion(motion_at(work.axes, j), sub(place, vector_at(work.places, j))).linear
         set_vector(work.jacobian, j, column)
         velocity = add(velocity, scale(work.qd[j], column))
-        tolerance += tolerances[j] * norm(column)
+        shown = add(shown, scale(motion[3, j], column))
+        tolerance += motion[2, j] * norm(column)
+        error += motion[4, j] * norm(column)
         j = setup.parent[j]
     speed = norm(velocity)
     is_moving = speed >= setup.speed_threshold and speed > 0.0
@@ -89,18 +100,40 @@ def approach_of(point: Point, tolerances: FloatArray, setup: Setup, work: Work) 
     normal, share = in_base(setup.normal_joint, setup.normal_vector, work.rotations), 1.0
     if setup.normal == Normal.FIXED and is_moving:
         share = max(abs(dot(n, normal)), MIN_NORMAL_COMPONENT)
-    return Approach(joint + 1, point.rank, place, velocity, n, speed, is_moving, normal, share, tolerance)
+    held = fill_jacobian_rate(joint, place, velocity, setup, work)
+    rate, is_limited = norm(shown) + error, False
+    if setup.max_acceleration >= rate:
+        is_limited, error, rate = True, setup.max_acceleration, setup.max_acceleration
+    elif is_moving:
+        rate = max(0.0, dot(n, add(shown, held))) + error
+    tolerance += age * rate
+    return Approach(
+        joint + 1,
+        point.rank,
+        place,
+        velocity,
+        n,
+        speed,
+        is_moving,
+        normal,
+        share,
+        tolerance,
+        shown,
+        held,
+        error,
+        is_limited,
+    )
 
 
 @inlined
-def fill_jacobian_rate(approach: Approach, setup: Setup, work: Work) -> Vector3:
+def fill_jacobian_rate(joint: int, place: Vector3, velocity: Vector3, setup: Setup, work: Work) -> Vector3:
     """Write the rows of dJ_v^T/dt; return the acceleration of the point with held joint velocities."""
-    acceleration, j = ZERO_VECTOR, approach.joints - 1
-    for i in range(approach.joints):
+    acceleration, j = ZERO_VECTOR, joint
+    for i in range(joint + 1):
         set_vector(work.jacobian_rate, i, ZERO_VECTOR)
     while j >= 0:
-        lever = sub(approach.place, vector_at(work.places, j))
-        turned = cross(motion_at(work.axes, j).angular, approach.velocity)
+        lever = sub(place, vector_at(work.places, j))
+        turned = cross(motion_at(work.axes, j).angular, velocity)
         rate = add(shift_motion(motion_at(work.axis_rates, j), lever).linear, turned)
         set_vector(work.jacobian_rate, j, rate)
         acceleration = add(acceleration, scale(work.qd[j], rate))

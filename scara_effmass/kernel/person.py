@@ -6,12 +6,23 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from scara_effmass.kernel.acceleration import acceleration_time, along, lasting_time, least_mobility
 from scara_effmass.kernel.contact_point import Approach
 from scara_effmass.kernel.jit import inlined
 from scara_effmass.kernel.mobility import trace
 from scara_effmass.kernel.pose_change import assign, contact_time, matrix_of
 from scara_effmass.kernel.records import Case, Mobility, Principal, Setup
-from scara_effmass.kernel.spatial import dot, norm, rotate, rotate_back, set_matrix, sub, vector, vector_at
+from scara_effmass.kernel.spatial import (
+    dot,
+    norm,
+    rotate,
+    rotate_back,
+    scale,
+    set_matrix,
+    sub,
+    vector,
+    vector_at,
+)
 from scara_effmass.reference.mobility import CLAMPED_TOLERANCE
 from scara_effmass.reference.person import MIN_EXCESS, MIN_PERSON_SPEED
 from scara_effmass.values import ZERO_VECTOR, FloatArray, Vector3
@@ -30,18 +41,20 @@ IDENTITY = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 class Person(NamedTuple):
     """Person who moves at `speed` [m/s], in any direction without a known one, and the speed of the contact point.
 
-    That [m/s] includes its errors.
+    That [m/s] includes its errors. If the robot `accelerates`, that counts.
     """
 
     has_direction: bool
     speed: float
     robot_speed: float
+    accelerates: bool
 
 
 class Meeting(NamedTuple):
     """Contact of one case and one line of its drives: masses k_i, n and d in the axes of K, and bounds of the growth.
 
-    d/dt (w^T K w) <= s (cubic s^2 + square s + linear) counts for `time` [s].
+    d/dt (w^T K w) <= s (cubic s^2 + square s + linear) counts for `time` [s]. The robot gains `gain` [m/s] along n, and
+    the force over sqrt(k) besides `root_gain`.
     """
 
     masses: Vector3
@@ -54,6 +67,8 @@ class Meeting(NamedTuple):
     cubic: float
     square: float
     linear: float
+    gain: float
+    root_gain: float
 
 
 class Energy(NamedTuple):
@@ -117,6 +132,9 @@ def set_principal(out: Principal, m: Mobility, towards: Vector3) -> None:
     assign(out.towards, in_axes(out, towards))
     assign(out.free, in_axes(out, vector(m.free)))
     assign(out.held, in_axes(out, vector(m.held)))
+    n, shown = vector(m.direction), vector(m.shown)
+    assign(out.across, in_axes(out, sub(shown, scale(dot(n, shown), n))))
+    out.speed_rate, out.least_mobility = along(m, n), least_mobility(m)
     powers = vector_at(m.powers, 0), vector_at(m.powers, 1), vector_at(m.powers, 2)
     for j in range(3):
         axis = vector_at(out.axes, j)
@@ -133,6 +151,7 @@ def set_single(out: Principal, mobility: float, rank: int, cosine: float) -> Non
     out.unreached, out.changes, out.floor, out.speed = 3 - rank, False, 0.0, 0.0
     assign(out.values, (mobility if rank > 2 else 0.0, mobility if rank > 1 else 0.0, mobility))
     assign(out.direction, (0.0, 0.0, 1.0))
+    assign(out.across, ZERO_VECTOR)
     assign(out.towards, (math.sqrt(max(0.0, 1.0 - cosine * cosine)), 0.0, cosine))
 
 
@@ -171,7 +190,25 @@ def with_growth(meeting: Meeting, p: Principal, mass_factor: float, beta: float,
         2.0 * faster / (speed * speed) + max(0.0, lighter) / speed,
         2.0 * v * (met / (speed * speed) + mixed / speed),
         v * v * own / speed,
+        meeting.gain,
+        meeting.root_gain,
     )
+
+
+@inlined
+def acceleration_root(
+    k: Vector3, heaviest: float, p: Principal, alpha: float, beta_per_mass: float, time: float
+) -> float:
+    """Return what the acceleration across n, and its error, add within `time` to the peak force over sqrt(k)."""
+    if not p.changes:
+        return time * math.sqrt(heaviest) * p.error
+    a = p.across
+    root = math.sqrt(k[0] * a[0] * a[0] + k[1] * a[1] * a[1] + k[2] * a[2] * a[2])
+    root *= lasting_time(time, p.speed, p.speed_rate)
+    if p.error > 0.0:
+        error = math.sqrt(1.0 / (alpha + beta_per_mass * p.least_mobility)) * p.error
+        root += time * (min(error, p.error_root / math.sqrt(beta_per_mass)) if beta_per_mass > 0.0 else error)
+    return root
 
 
 @inlined
@@ -191,6 +228,13 @@ def meeting_of(
     y = 0.0 if unreached > 1 else mass_or(least + beta_per_mass * p.values[1], infinite)
     z = mass_or(least + beta_per_mass * p.values[2], infinite)
     heaviest = max(x, y, z)
+    gain = root_gain = time = 0.0
+    if heaviest < math.inf:
+        time = case.drive_time if case.drive_time > 0.0 else contact_time(heaviest, case.stiffness)
+        if person.accelerates:
+            lasting = acceleration_time(case, time)
+            gain = lasting * max(0.0, p.speed_rate)
+            root_gain = acceleration_root((x, y, z), heaviest, p, alpha, beta_per_mass, lasting)
     meeting = Meeting(
         (x, y, z),
         heaviest,
@@ -202,10 +246,11 @@ def meeting_of(
         0.0,
         0.0,
         0.0,
+        gain,
+        root_gain,
     )
     if not p.changes or heaviest == math.inf:
         return meeting
-    time = case.drive_time if case.drive_time > 0.0 else contact_time(heaviest, case.stiffness)
     return with_growth(meeting, p, mass_factor, beta, time)
 
 
@@ -275,7 +320,8 @@ def root_at(meeting: Meeting, energy: Energy, s: float) -> float:
 @inlined
 def present_root(meeting: Meeting, s: float) -> float:
     """Return the peak force over sqrt(k) of the worst velocity of the person, at the speed `s` of the contact point."""
-    return root_at(meeting, energy_at(meeting, s), s)
+    s += meeting.gain
+    return root_at(meeting, energy_at(meeting, s), s) + meeting.root_gain
 
 
 @inlined
@@ -303,9 +349,10 @@ def max_speed(meeting: Meeting, root: float) -> float:
 
     Every round takes the bound of the energy at the speed of the last one, and none of them is too fast.
     """
+    root -= meeting.root_gain
     at_rest = person_mass(meeting)
     if not meeting.person_speed * math.sqrt(at_rest) < root:
-        return root / math.sqrt(at_rest) - meeting.person_speed
+        return root / math.sqrt(at_rest) - meeting.person_speed - meeting.gain
     start = root / math.sqrt(meeting.heaviest) - meeting.person_speed
     speed = speed_of(meeting, energy_at(meeting, max(0.0, start)), root)
     for _ in range(MAX_ROUNDS):
@@ -313,7 +360,7 @@ def max_speed(meeting: Meeting, root: float) -> float:
         speed = max(last, speed_of(meeting, energy_at(meeting, last), root))
         if speed - last <= ROUNDED * speed:
             break
-    return speed
+    return speed - meeting.gain
 
 
 @inlined
@@ -321,4 +368,4 @@ def person_of(approach: Approach, setup: Setup) -> Person:
     """Return the person that a contact point meets."""
     has_direction = setup.has_person_direction and approach.is_moving
     robot_speed = approach.speed + (setup.speed_uncertainty + approach.tolerance)
-    return Person(has_direction, max(setup.person_speed, MIN_PERSON_SPEED), robot_speed)
+    return Person(has_direction, max(setup.person_speed, MIN_PERSON_SPEED), robot_speed, accelerates=True)

@@ -73,9 +73,9 @@ def turn_change(
 
 
 @inlined
-def solve_mobility(change: Mobility, s: float) -> Vector3:
+def solve_mobility(change: Mobility, s: float, n: Vector3) -> Vector3:
     """Return (s 1 + A)^-1 n [kg], with the adjugate in as many dimensions as the point moves in."""
-    m, n = matrix_of(change), vector(change.direction)
+    m = matrix_of(change)
     s = max(s, CLAMPED_TOLERANCE * trace(m))
     if change.change_rank == 1:
         return scale(inverse(s + trace(m)), n)
@@ -98,7 +98,7 @@ def growth(change: Mobility, alpha: float, beta: float) -> float:
     n = vector(change.direction)
     x, total, energy_rate = n, 1.0, 0.0
     if beta > 0.0:
-        x = solve_mobility(change, alpha / beta)
+        x = solve_mobility(change, alpha / beta, n)
         total = dot(n, x)
         if not 0.0 < total < math.inf:
             return math.inf
@@ -115,7 +115,7 @@ def growth(change: Mobility, alpha: float, beta: float) -> float:
 @inlined
 def max_growth(change: Mobility, alpha: float) -> float:
     """Return a bound [1/s] of `growth` for every alpha / beta of at least `alpha` [1/kg]."""
-    x = solve_mobility(change, alpha)
+    x = solve_mobility(change, alpha, vector(change.direction))
     total = dot(vector(change.direction), x)
     if not 0.0 < total < math.inf:
         return math.inf

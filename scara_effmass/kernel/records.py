@@ -108,6 +108,7 @@ class Setup:
     mass_factor: float
     model_margin: float
     speed_threshold: float
+    max_acceleration: float
     person_speed: float
     speed_uncertainty: float
     warn_ratio: float
@@ -126,7 +127,8 @@ class Mobility:
     `along` to `rank` are scalars of A: along the velocity, that of its adjugate, and its invariants. The
     others are its `PoseChange` in `change_rank` dimensions, 0 without one: direction and speed of the contact point, A,
     the `powers` K M^-1 J^T, and the accelerations with `free` and with `held` joint velocities; `either_way`: their
-    opposites, too.
+    opposites, too. `shown`, `opposed` (`held`), `error` and `error_root` are its `Acceleration`, and `heaviest` the
+    largest effective mass; if it `is_scalar`, `speed_rate` counts in place of the vectors.
     """
 
     along: float
@@ -143,6 +145,13 @@ class Mobility:
     free: Vector
     held: Vector
     either_way: bool
+    shown: Vector
+    opposed: Vector
+    error: float
+    error_root: float
+    heaviest: float
+    is_scalar: bool
+    speed_rate: float
 
 
 @dataclass
@@ -151,8 +160,9 @@ class Principal:
 
     `values` are the eigenvalues, the smallest first; the point does not move along the first `unreached` axes. There,
     too: velocity of the contact point (`direction`, `speed`), direction to the person (`towards`), and, if the pose
-    `changes`, accelerations and `lessening` = -dA/dt. The smallest eigenvalue counts as at least `floor`. `matrix` is
-    scratch.
+    `changes`, accelerations and `lessening` = -dA/dt. The smallest eigenvalue counts as at least `floor`. `speed_rate`,
+    `across` and the errors are its `Acceleration`: along n, across it, and those of the mobility, at least
+    `least_mobility`. `matrix` is scratch.
     """
 
     values: Vector
@@ -167,6 +177,11 @@ class Principal:
     free: Vector
     held: Vector
     lessening: Annotated[FloatArray, (3, 3)]
+    speed_rate: float
+    across: Vector
+    error: float
+    error_root: float
+    least_mobility: float
 
 
 @dataclass
@@ -177,6 +192,7 @@ class Work:
     """
 
     qd: PerJoint
+    errors: PerJoint
     rotations: Annotated[FloatArray, (MAX_JOINTS, 3, 3)]
     places: Annotated[FloatArray, (MAX_JOINTS, 3)]
     axes: Annotated[FloatArray, (MAX_JOINTS, 6)]
@@ -203,6 +219,7 @@ class Work:
     principals: Annotated[Any, (MAX_MOBILITIES,), Principal]
     max_masses: Annotated[FloatArray, (MAX_MOBILITIES,)]
     growths: Annotated[FloatArray, (MAX_MOBILITIES,)]
+    gains: Annotated[FloatArray, (MAX_MOBILITIES,)]
 
 
 def dtype_of(record: type) -> np.dtype[np.void]:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from scara_effmass.iso15066.drives import MAX_MOBILITY
+from scara_effmass.kernel.acceleration import acceleration_time, gain, max_rate
 from scara_effmass.kernel.jit import inlined
 from scara_effmass.kernel.mobility import worst_reduced_mass
 from scara_effmass.kernel.person import Person, max_speed, meeting_of, person_mass, present_root
@@ -16,7 +17,7 @@ from scara_effmass.kernel.records import Case, Mobility, Principal, Setup, Work
 
 
 class Bound(NamedTuple):
-    """Speed [m/s] that a case allows, with reduced mass [kg], its growth [s/m] and the push of the drives [N].
+    """Speed [m/s] that a case allows: reduced mass [kg], its growth [s/m], push of the drives [N], gain of speed [m/s].
 
     With a moving person, `root` is the peak force without the push over sqrt(k) at the present speed [m/s sqrt(kg)].
     """
@@ -26,6 +27,7 @@ class Bound(NamedTuple):
     growth: float
     push: float
     root: float
+    gain: float
 
 
 class Drives(NamedTuple):
@@ -40,45 +42,49 @@ class Drives(NamedTuple):
     has_push: bool
 
 
-NO_BOUND = Bound(math.inf, 0.0, 0.0, 0.0, 0.0)
+NO_BOUND = Bound(math.inf, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @inlined
-def is_less(a: Bound, b: Bound) -> bool:
-    """Return whether bound `a` is less than `b`, entry by entry as tuples are compared."""
-    for i in range(5):
-        if a[i] != b[i]:
-            return a[i] < b[i]
-    return False
-
-
-@inlined
-def bound_of(case: Case, m: Mobility, mass_factor: float, mu: float, alpha: float, beta: float, rate: float) -> Bound:
+def bound_of(
+    case: Case,
+    m: Mobility,
+    mass_factor: float,
+    mu: float,
+    line: tuple[float, float],
+    rate: float,
+    accelerates: bool,  # noqa: FBT001 - compiled
+) -> Bound:
     """Return the bound of a reduced mass `mu`, of v^T (alpha 1 + beta A)^-1 v."""
-    growing = 0.0
-    if m.change_rank > 0 and mu < math.inf:
+    alpha, beta = line
+    growing = gained = 0.0
+    if mu < math.inf:
         time = case.drive_time if case.drive_time > 0.0 else contact_time(mu, case.stiffness)
-        growing = 0.5 * time * growth(m, mass_factor * alpha, beta) / m.speed
+        if accelerates:
+            gained = gain(m, mass_factor, mu, alpha, beta, acceleration_time(case, time))
+        if m.change_rank > 0:
+            growing = 0.5 * time * growth(m, mass_factor * alpha, beta) / m.speed
     inverse_square = mu * rate
     if inverse_square <= 0.0:
-        return Bound(math.inf, mu, growing, 0.0, 0.0)
-    speed = 1.0 / math.sqrt(inverse_square)
-    speed = 2.0 * speed / (1.0 + math.sqrt(1.0 + 4.0 * growing * speed))
-    return Bound(max(0.0, speed), mu, growing, 0.0, 0.0)  # NaN, of an infinite growth at no speed, is no missing limit
+        return Bound(math.inf, mu, growing, 0.0, 0.0, gained)
+    speed = 1.0 / math.sqrt(inverse_square) - gained
+    if speed > 0.0:
+        speed = 2.0 * speed / (1.0 + math.sqrt(1.0 + 4.0 * growing * speed))
+    return Bound(speed, mu, growing, 0.0, 0.0, gained)
 
 
 @inlined
 def immovable_bound(case: Case, m: Mobility, mass_factor: float, rate: float) -> Bound:
     """Return the bound if the drives do not give way."""
     mu = mass_factor * worst_reduced_mass(m, mass_factor * case.obstacle_mobility, 0.0)
-    return bound_of(case, m, mass_factor, mu, case.obstacle_mobility, 0.0, rate)
+    return bound_of(case, m, mass_factor, mu, (case.obstacle_mobility, 0.0), rate, True)  # noqa: FBT003 - compiled
 
 
 @inlined
 def free_bound(case: Case, m: Mobility, mass_factor: float, rate: float) -> Bound:
-    """Return the bound of free joints."""
+    """Return the bound of free joints; the push of the drives contains what accelerates them."""
     mu = mass_factor * worst_reduced_mass(m, mass_factor * case.obstacle_mobility, 1.0)
-    return bound_of(case, m, mass_factor, mu, case.obstacle_mobility, 1.0, rate)
+    return bound_of(case, m, mass_factor, mu, (case.obstacle_mobility, 1.0), rate, False)  # noqa: FBT003 - compiled
 
 
 @inlined
@@ -92,7 +98,7 @@ def case_bound(case: Case, m: Mobility, mass_factor: float, rate: float) -> Boun
         line_mu = mass_factor * worst_reduced_mass(m, mass_factor * line_alpha, line_beta)
         if line_mu < mu:
             mu, alpha, beta = line_mu, line_alpha, line_beta
-    return bound_of(case, m, mass_factor, mu, alpha, beta, rate)
+    return bound_of(case, m, mass_factor, mu, (alpha, beta), rate, True)  # noqa: FBT003 - compiled
 
 
 @inlined
@@ -109,27 +115,28 @@ def push_bound(case: Case, mobilities: Sequence[Mobility], drives: Drives, setup
     force = push_force(case, drives, setup)
     rest = case.force * (case.force - 2.0 * force)
     if rest <= 0.0:
-        return Bound(0.0, 0.0, 0.0, force, 0.0)
-    least = Bound(math.inf, math.inf, math.inf, math.inf, math.inf)
+        return Bound(0.0, 0.0, 0.0, force, 0.0, 0.0)
+    least = NO_BOUND
     for k in range(len(mobilities)):
         bound = free_bound(case, mobilities[k], setup.mass_factor, case.stiffness / rest)
-        if is_less(bound, least):
+        if k == 0 or bound.speed < least.speed:
             least = bound
-    return Bound(least.speed, least.reduced_mass, least.growth, force, 0.0)
+    return Bound(least.speed, least.reduced_mass, least.growth, force, 0.0, 0.0)
 
 
 @inlined
 def fill_greatest(mobilities: Sequence[Mobility], setup: Setup, work: Work) -> None:
-    """Write the largest reduced mass and growth of each mobility in any case: most cases cannot set the speed."""
+    """Write the largest reduced mass, growth and gain of each mobility in any case: most cases cannot set the speed."""
     factor = setup.mass_factor
     alpha = factor * setup.min_alpha
     for k in range(len(mobilities)):
         m = mobilities[k]
         work.max_masses[k] = factor * worst_reduced_mass(m, alpha, 1.0) if setup.is_free else math.inf
         work.growths[k] = 0.0
+        time = setup.max_drive_time
+        time = time if time > 0.0 else contact_time(work.max_masses[k], setup.min_stiffness)
+        work.gains[k] = time * max_rate(m, alpha)
         if m.change_rank > 0:
-            time = setup.max_drive_time
-            time = time if time > 0.0 else contact_time(work.max_masses[k], setup.min_stiffness)
             work.growths[k] = 0.5 * time * max_growth(m, alpha) / m.speed
 
 
@@ -147,14 +154,14 @@ def governing_case(
             excess = case.force / drives.max_force if drives.max_force > 0.0 else math.inf
             rate *= excess * excess
         for k in range(len(mobilities)):
-            speed = slowest.speed * (1.0 + work.growths[k] * slowest.speed)
-            if not min(work.max_masses[k], case.body_mass) * rate * speed * speed <= 1.0:
+            speed = slowest.speed * (1.0 + work.growths[k] * max(0.0, slowest.speed)) + work.gains[k]
+            if not (speed <= 0.0 or min(work.max_masses[k], case.body_mass) * rate * speed * speed <= 1.0):
                 other = case_bound(case, mobilities[k], factor, rate)
-                if is_less(other, bound):
+                if other.speed < bound.speed:
                     bound = other
         if drives.has_push:
             other = push_bound(case, mobilities, drives, setup)
-            if is_less(bound, other):
+            if bound.speed < other.speed:
                 bound = other
         if bound.speed < slowest.speed:
             governing, slowest = i, bound
@@ -170,7 +177,7 @@ def person_line_bound(
     speed = max_speed(meeting, 1.0 / math.sqrt(rate))
     if meeting.heaviest == math.inf:
         meeting = meeting_of(case, p, setup.mass_factor, alpha, beta, person, setup.mass_cap)
-    return Bound(speed, person_mass(meeting), 0.0, 0.0, present_root(meeting, person.robot_speed))
+    return Bound(speed, person_mass(meeting), 0.0, 0.0, present_root(meeting, person.robot_speed), 0.0)
 
 
 @inlined
@@ -194,14 +201,14 @@ def person_push_bound(case: Case, count: int, drives: Drives, setup: Setup, work
     force = push_force(case, drives, setup)
     rest = case.force * (case.force - 2.0 * force)
     if not rest > 0.0:
-        return Bound(-person.speed, 0.0, 0.0, force, 0.0)
-    least = NO_BOUND
+        return Bound(-person.speed, 0.0, 0.0, force, 0.0, 0.0)
+    least, person = NO_BOUND, Person(person.has_direction, person.speed, person.robot_speed, accelerates=False)
     for k in range(count):
         rate, alpha = case.stiffness / rest, case.obstacle_mobility
         bound = person_line_bound(case, work.principals[k], setup, alpha, 1.0, rate, person)
         if bound.speed < least.speed:
             least = bound
-    return Bound(least.speed, least.reduced_mass, 0.0, force, least.root)
+    return Bound(least.speed, least.reduced_mass, 0.0, force, least.root, 0.0)
 
 
 @inlined

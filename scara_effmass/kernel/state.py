@@ -94,7 +94,8 @@ class JointMemory:
 
     `since_ns` is the stamp of its last disagreement, or of the start of the comparison, `since_position` its position
     then. `error` to `allowance` fade with WINDOW_S: displacement minus integral of the velocity; mean velocity; largest
-    difference between the velocity and its mean; error that its scale and its sampling explain.
+    difference between the velocity and its mean; error that its scale and its sampling explain. The accelerations
+    [rad/s2, m/s2] are low-passed with FAST_S and SLOW_S.
     """
 
     lower: float
@@ -109,6 +110,8 @@ class JointMemory:
     mean_velocity: float
     peak: float
     allowance: float
+    fast_acceleration: float
+    slow_acceleration: float
     is_unconfirmed: int
     since_ns: int
     since_position: float

@@ -11,7 +11,7 @@ from scara_effmass.kernel.contact_point import Approach
 from scara_effmass.kernel.jit import inlined
 from scara_effmass.kernel.pose_change import solve_mobility
 from scara_effmass.kernel.records import Case, Mobility, Setup, Work
-from scara_effmass.kernel.spatial import dot, norm, scale, vector_at
+from scara_effmass.kernel.spatial import dot, norm, scale, vector, vector_at
 from scara_effmass.reference.pose_state import MIN_LEVER_M
 from scara_effmass.values import Vector3
 
@@ -95,7 +95,7 @@ def holding_force(
         alpha = min(alpha, cases[i].obstacle_mobility)
     for k in range(len(changes)):
         if changes[k].change_rank > 0:
-            worst = solve_mobility(changes[k], alpha)
+            worst = solve_mobility(changes[k], alpha, vector(changes[k].direction))
             length = norm(worst)
             if 0.0 < length < math.inf:
                 force = smaller_force(force, scale(1.0 / length, worst), approach.joints, setup, work)

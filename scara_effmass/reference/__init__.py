@@ -4,8 +4,8 @@
 Slow and plain: it defines what the kernel computes, and checks it. Start at `pose_state`.
 """
 
-from scara_effmass.reference.assessment import ContactResult, assess
+from scara_effmass.reference.assessment import ContactResult, JointAcceleration, assess
 from scara_effmass.reference.dynamics import RobotDynamics
 from scara_effmass.reference.pose_state import ContactPoint, ContactState, PoseState
 
-__all__ = ["ContactPoint", "ContactResult", "ContactState", "PoseState", "RobotDynamics", "assess"]
+__all__ = ["ContactPoint", "ContactResult", "ContactState", "JointAcceleration", "PoseState", "RobotDynamics", "assess"]

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from scara_effmass.iso15066.contact import peak_force, reduced_mass, transferred
 from scara_effmass.iso15066.limits import Limit
 from scara_effmass.model.lumping import is_scara, lumped_suffices
 from scara_effmass.reference.dynamics import RobotDynamics
-from scara_effmass.reference.mobility import Mobility, is_bounded
+from scara_effmass.reference.mobility import Acceleration, Mobility, is_bounded
 from scara_effmass.reference.person import MIN_PERSON_SPEED, MovingPerson
 from scara_effmass.reference.pose_state import X_AXIS, ContactState
 from scara_effmass.reference.speed_limit import DrivePush, speed_limit
@@ -87,17 +88,30 @@ def assess(
     q: FloatArray,
     qd: FloatArray,
     velocity_tolerance: Sequence[float] = (),
+    acceleration: JointAcceleration | None = None,
 ) -> list[ContactResult]:
     """Return the assessment of each contact point at `q` (n,) [rad, m] and `qd` (n,), finite numbers.
 
     `limits` are those of `settings`, see `iso15066.limits_for`. `velocity_tolerance` (n,) bounds the errors of `qd`;
-    empty: no errors.
+    empty: no errors. None as `acceleration` is a robot that does not accelerate.
     """
     cases = contact_cases(limits, settings)
+    none = np.zeros_like(qd)
+    acceleration = acceleration or JointAcceleration(none, none)
     return [
-        ContactAssessor(contact, settings, tuple(limits), cases, contact.speed_tolerance(velocity_tolerance)).result()
+        ContactAssessor(
+            contact, settings, tuple(limits), cases, contact.speed_tolerance(velocity_tolerance), acceleration
+        ).result()
         for contact in dynamics.at(q, qd).contacts
     ]
+
+
+class JointAcceleration(NamedTuple):
+    """Joint accelerations (n,) [rad/s2, m/s2], bounds of their errors (n,), and `age` [s] of the joint state."""
+
+    qdd: FloatArray
+    errors: FloatArray
+    age: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -126,6 +140,7 @@ class ContactAssessor:
     limits: tuple[Limit, ...]
     cases: tuple[ContactCase, ...]
     speed_tolerance: float
+    joint_acceleration: JointAcceleration
     models: list[DecidingModel] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -137,6 +152,27 @@ class ContactAssessor:
         codes = (ModelCode.LUMPED, ModelCode.FULL)
         self.masses = {code: contact.effective_mass(code, self.direction) for code in codes}
         self.masses[ModelCode.ISO] = self.iso_mass
+        acceleration = self._acceleration(None)
+        along = 0.0 if self.direction is None else float(self.direction @ (acceleration.shown + acceleration.held))
+        self.speed_tolerance += self.joint_acceleration.age * (max(0.0, along) + acceleration.error)
+
+    def _acceleration(self, code: ModelCode | None) -> Acceleration:
+        """Return the acceleration that the contact goes on with, in the mass model `code`; None for a known mass.
+
+        A stated limit that is larger than what the joint states show counts in its place, in any direction.
+        """
+        qdd, errors, _ = self.joint_acceleration
+        shown, held = self.contact.jacobian @ qdd, self.contact.jacobian_rate @ self.state.qd
+        error, size = self.contact.speed_tolerance(errors), float(np.linalg.norm(shown))
+        limit, none = self.settings.max_acceleration, np.zeros(3)
+        if limit >= size + error:
+            return Acceleration(none, none, limit, math.inf)
+        if self.direction is None or (code is ModelCode.ISO and self._fixed_normal is not None):
+            return Acceleration(none, none, size + error, math.inf)
+        root = math.inf
+        if code in self.state.mass_matrix:
+            root = float(np.sqrt(np.diagonal(self.state.mass_matrix[code])) @ errors)
+        return Acceleration(shown, held, error, root)
 
     def result(self) -> ContactResult:
         """Return the numbers, and the verdict on this joint state alone."""
@@ -224,6 +260,7 @@ class ContactAssessor:
                 mobility = Mobility.of_any_direction(mass, direction)
             else:
                 mobility = self.contact.mobility(code, self.direction)
+            mobility = replace(mobility, acceleration=self._acceleration(code))
             models.append(DecidingModel(code, mass, worst, mobility))
         self.models = models
         return Reason.NONE, ()
@@ -271,10 +308,12 @@ class ContactAssessor:
             return mobility.along(self._fixed_normal, min_speed, either_way=either_way)
         if self.direction is None:
             is_anywhere = self.contact.rank == len(X_AXIS)
-            return (Mobility.of_any_direction if is_anywhere else Mobility.of_mass)(mobility.worst_mass, X_AXIS)
-        if self.settings.contact_normal == "velocity":  # of the first touch, as in the paper and the standard
-            return Mobility.of_mass(mobility.effective_mass(self.direction), self.direction)
-        return mobility
+            found = (Mobility.of_any_direction if is_anywhere else Mobility.of_mass)(mobility.worst_mass, X_AXIS)
+        elif self.settings.contact_normal == "velocity":  # of the first touch, as in the paper and the standard
+            found = Mobility.of_mass(mobility.effective_mass(self.direction), self.direction)
+        else:
+            return mobility
+        return replace(found, acceleration=mobility.acceleration)
 
     def _mobilities(self) -> list[Mobility]:
         """Return the mobilities for the contact normal of the settings, also those of joints that are held."""
@@ -282,7 +321,11 @@ class ContactAssessor:
         if self.settings.drives is not Drives.SERVO or self.settings.servo.computed_torque:
             return free
         codes = (model.code for model in self.models if model.code is not ModelCode.ISO)
-        return free + [self._at_normal(self.contact.held_mobility(code, self.direction)) for code in codes]
+        held = (
+            replace(self.contact.held_mobility(code, self.direction), acceleration=self._acceleration(code))
+            for code in codes
+        )
+        return free + [self._at_normal(mobility) for mobility in held]
 
     def _holding_force(self) -> float:
         """Return the contact force [N] up to which no joint reaches its effort limit.

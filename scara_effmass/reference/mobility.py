@@ -15,6 +15,8 @@ from scara_effmass.values import FloatArray
 
 CLAMPED_TOLERANCE = 1e-11
 """Ratio to the trace of a mobility, below which a direction counts as that much mobile against a clamped body part."""
+REACH_TOLERANCE = 1e-6
+"""Ratio to the trace of a mobility, below which a direction counts as that much mobile for errors of accelerations."""
 BOUND_TOLERANCE = 1e-9
 """Ratio to the trace of a mobility, below which a difference of two mobilities is rounding."""
 DIRECTION_ROUNDING = 1e-9
@@ -62,6 +64,38 @@ class PoseChange:
 
 
 @dataclass(frozen=True, slots=True)
+class Acceleration:
+    """Acceleration of a contact point that goes on through the contact.
+
+    `shown` is J_v qdd (3,) [m/s2], that of the joint states; `held` is dJ_v/dt qd (3,), of which the change of pose
+    counts what is positive. Besides, `error` [m/s2] counts in any direction: its sqrt(2 energy) is at most
+    `error_root` [m/s2 sqrt(kg)], the sum of |error of qdd_j| sqrt(M_jj).
+    """
+
+    shown: FloatArray
+    held: FloatArray
+    error: float
+    error_root: float
+
+    def along(self, n: FloatArray) -> float:
+        """Return d/dt of the speed along n [m/s2], without the part that the change of pose counts."""
+        return float(n @ self.shown) + min(0.0, float(n @ self.held))
+
+    def turned(self, n: FloatArray, *, either_way: bool) -> Acceleration:
+        """Return that of a contact with the normal n alone, or with the larger one of n and -n `either_way`."""
+        along = max(self.along(n), self.along(-n)) if either_way else self.along(n)
+        return Acceleration(along * n, np.zeros(3), self.error, self.error_root)
+
+
+NO_ACCELERATION = Acceleration(np.zeros(3), np.zeros(3), 0.0, 0.0)
+
+
+def lasting_time(time: float, speed: float, rate: float) -> float:
+    """Return for how much of the `time` [s] a point at `speed` [m/s] accelerates, which brakes at a `rate` below 0."""
+    return time if rate >= 0.0 else min(time, -speed / rate)
+
+
+@dataclass(frozen=True, slots=True)
 class Mobility:
     """Mobility A = U diag(a) U^T of a contact point that hits along the unit vector `direction` n.
 
@@ -75,6 +109,7 @@ class Mobility:
     direction: FloatArray
     change: PoseChange | None = None
     across: float = 0.0
+    acceleration: Acceleration = NO_ACCELERATION
 
     @classmethod
     def of_matrix(
@@ -112,7 +147,11 @@ class Mobility:
     def with_masses(self, factor: float) -> Mobility:
         """Return the mobility of a robot whose masses are `factor` times as large: A / factor."""
         change = self.change and replace(self.change, mobility_rate=self.change.mobility_rate / factor)
-        return replace(self, values=self.values / factor, change=change, across=self.across / factor)
+        error_root = self.acceleration.error_root * math.sqrt(factor)
+        acceleration = replace(self.acceleration, error_root=error_root)
+        return replace(
+            self, values=self.values / factor, change=change, across=self.across / factor, acceleration=acceleration
+        )
 
     def along(self, normal: FloatArray, min_speed: float, *, either_way: bool) -> Mobility:
         """Return the mobility of a contact with the unit `normal`: n^T A n, at least `min_speed` [m/s] along it.
@@ -121,17 +160,20 @@ class Mobility:
         """
         mass = self.effective_mass(normal)
         if self.change is None:
-            return Mobility.of_mass(mass, normal)
+            return replace(Mobility.of_mass(mass, normal), acceleration=self.acceleration)
         speed = self.change.speed * float(self.direction @ normal)
         normal = -normal if speed < 0.0 else normal
         accelerations = self.change.accelerations
         if either_way:
             accelerations += tuple(-a for a in accelerations)
         change = replace(self.change, speed=max(abs(speed), min_speed), accelerations=accelerations)
-        return Mobility.of_mass(mass, normal, change)
+        acceleration = self.acceleration.turned(normal, either_way=either_way)
+        return replace(Mobility.of_mass(mass, normal, change), acceleration=acceleration)
 
-    def impulse(self, alpha: float, beta: float = 1.0) -> FloatArray:
+    def impulse(self, alpha: float, beta: float = 1.0, n: FloatArray | None = None) -> FloatArray:
         """Return w = (alpha I + beta A)^-1 n [kg], the impulse of a sticking contact at unit speed; may be infinite.
+
+        n is the direction of the contact if None.
 
         With alpha = 1/m_H and beta = 1 the body part m_H and the robot move on together. Against a clamped body part
         (alpha = 0) a direction that the point cannot reach counts as nearly rigid.
@@ -141,8 +183,9 @@ class Mobility:
         shares = alpha + beta * self.values
         if not (shares > 0.0).all():
             return np.full(3, math.inf)
-        along = self.axes.T @ self.direction
-        out_of_reach = self.direction - self.axes @ along
+        n = self.direction if n is None else n
+        along = self.axes.T @ n
+        out_of_reach = n - self.axes @ along
         w = self.axes @ (along / shares)
         return w + out_of_reach / alpha if np.linalg.norm(out_of_reach) > DIRECTION_ROUNDING else w
 
@@ -178,3 +221,36 @@ class Mobility:
         faster = max(0.0, *(float(w @ a) for a in self.change.accelerations))
         lighter = max(0.0, -beta * float(w @ self.change.mobility_rate @ w))
         return (2.0 * faster / self.change.speed + lighter) / float(self.direction @ w)
+
+    def largest_mass(self, alpha: float, beta: float) -> float:
+        """Return the largest eigenvalue [kg] of (alpha I + beta A)^-1; may be infinite."""
+        least = alpha + beta * max(REACH_TOLERANCE * self.trace, float(self.values[0]))
+        return 1.0 / least if least > 0.0 else math.inf
+
+    def error_root(self, alpha: float, beta: float) -> float:
+        """Return the largest sqrt(a^T K a) [m/s2 sqrt(kg)] of the error a of the acceleration, K as in `impulse`."""
+        a = self.acceleration
+        if not a.error > 0.0:
+            return 0.0
+        root = math.sqrt(self.largest_mass(alpha, beta)) * a.error
+        return min(root, a.error_root / math.sqrt(beta)) if beta > 0.0 else root
+
+    def gain(self, alpha: float, beta: float, time: float) -> float:
+        """Return by how much [m/s] the speed counts as higher, because the point accelerates for `time` [s].
+
+        That is |v + t a|_K - |v|_K over sqrt(mu), where |v|_K^2 = v^T K v is twice the energy of the worst normal.
+        """
+        a, n = self.acceleration, self.direction
+        if len(self.values) == 1:
+            return time * (max(0.0, a.along(n)) + a.error)
+        w = self.impulse(alpha, beta)
+        mu = float(n @ w)
+        if self.change is None or not 0.0 < mu < math.inf:
+            return 0.0
+        speed = self.change.speed
+        rest = a.shown - float(w @ a.shown) / mu * n
+        across = math.sqrt(max(0.0, float(rest @ self.impulse(alpha, beta, rest)) / mu))
+        rate = a.along(w) / mu
+        lasting = lasting_time(time, speed, rate)
+        shown = math.hypot(speed + lasting * rate, lasting * across) - speed
+        return max(0.0, shown) + time * self.error_root(alpha, beta) / math.sqrt(mu)

@@ -20,9 +20,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from scara_effmass.iso15066.allowable_speed import ContactCase, SpeedLimit
-from scara_effmass.iso15066.contact import contact_time
 from scara_effmass.iso15066.drives import Line
-from scara_effmass.reference.mobility import CLAMPED_TOLERANCE, Mobility, PoseChange
+from scara_effmass.reference.mobility import CLAMPED_TOLERANCE, Mobility, PoseChange, lasting_time
 from scara_effmass.values import FloatArray
 
 MIN_EXCESS = 1e-12
@@ -61,6 +60,8 @@ class PersonContact:
     """Contact of one case and one line of its drives with a moving person.
 
     `masses` k_i [kg] are the eigenvalues of K, `direction` n in its axes. `towards` is d there, None for any direction.
+    As the robot accelerates, the contact point gains `gain` [m/s] along n; across it and by the error of the
+    acceleration, the force gains `root_gain` [m/s sqrt(kg)] over sqrt(k), the length in the norm of K.
     """
 
     masses: tuple[float, ...]
@@ -68,6 +69,8 @@ class PersonContact:
     towards: tuple[float, ...] | None
     person_speed: float
     growth: Growth
+    gain: float = 0.0
+    root_gain: float = 0.0
 
     @classmethod
     def of(
@@ -101,10 +104,26 @@ class PersonContact:
             person.speed,
             Growth(),
         )
-        if mobility.change is None or math.isinf(max(found.masses)):
+        if math.isinf(max(found.masses)):
             return found
-        time = case.drive_time or contact_time(max(found.masses), case.stiffness)
+        found = found.accelerating(mobility, line, axes, case.acceleration_time(max(found.masses)))
+        if mobility.change is None:
+            return found
+        time = case.contact_time(max(found.masses))
         return replace(found, growth=_growth(mobility.change, beta, axes, masses, n, towards, person.speed, time))
+
+    def accelerating(self, mobility: Mobility, line: Line, axes: FloatArray, time: float) -> PersonContact:
+        """Return the contact of a robot that accelerates for `time` [s], K diagonal along `axes`."""
+        a, n = mobility.acceleration, mobility.direction
+        across, lasting = 0.0, time
+        if mobility.change is not None:
+            rest = axes.T @ (a.shown - float(n @ a.shown) * n)
+            across = math.sqrt(float(np.square(rest) @ self.masses))
+            lasting = lasting_time(time, mobility.change.speed, a.along(n))
+            error = mobility.error_root(*line)
+        else:
+            error = math.sqrt(max(self.masses)) * a.error
+        return replace(self, gain=time * max(0.0, a.along(n)), root_gain=lasting * across + time * error)
 
     @property
     def person_mass(self) -> float:
@@ -144,8 +163,12 @@ class PersonContact:
     def root(self, s: float) -> float:
         """Return the peak force over sqrt(k) [m/s sqrt(kg)] at the speed `s` [m/s] of the contact point.
 
-        The force grows with the root of the energy: r + r' T. Without a person it is s (1 + growth s) sqrt(mu).
+        The force grows with the root of the energy: r + r' T. Without a person: (s (1 + growth s) + gain) sqrt(mu).
         """
+        return self._root(s + self.gain) + self.root_gain
+
+    def _root(self, s: float) -> float:
+        """Return that of a robot that does not accelerate."""
         root = math.sqrt(self.energy(s))
         return root + 0.5 * self.growth.time * self.growth.rate(s) / root
 
@@ -154,15 +177,19 @@ class PersonContact:
 
         Negative if there is none: then by how much slower the person has to be. `root` never falls as the speed rises.
         """
+        return self._max_speed(root - self.root_gain) - self.gain
+
+    def _max_speed(self, root: float) -> float:
+        """Return that of a robot that does not accelerate."""
         at_rest = self.person_mass
         if not self.person_speed * math.sqrt(at_rest) < root:
             return root / math.sqrt(at_rest) - self.person_speed
         fastest = root / math.sqrt(self.reduced_mass)
-        if self.root(fastest) <= root:
+        if self._root(fastest) <= root:
             return fastest
         from scipy.optimize import brentq  # noqa: PLC0415 - slow, and the kernel does without it
 
-        return float(brentq(lambda s: self.root(s) - root, 0.0, fastest, xtol=1e-300, rtol=1e-14))
+        return float(brentq(lambda s: self._root(s) - root, 0.0, fastest, xtol=1e-300, rtol=1e-14))
 
 
 def _growth(

@@ -8,9 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from scara_effmass.iso15066.allowable_speed import ContactCase, SpeedLimit, max_speed
-from scara_effmass.iso15066.contact import contact_time
 from scara_effmass.iso15066.drives import Line
-from scara_effmass.reference.mobility import Mobility
+from scara_effmass.reference.mobility import NO_ACCELERATION, Mobility
 from scara_effmass.reference.person import MovingPerson, person_speed_limit
 
 
@@ -75,18 +74,23 @@ def _of_mobility(
         force = max(0.0, min(case.force, max_force))
         return max((person_speed_limit(case, mobility, line, person, force) for line in lines), key=_speed)
     mu, (alpha, beta) = min(((mobility.reduced_mass(*line), line) for line in lines), key=lambda bound: bound[0])
-    growth = 0.0
-    if mobility.change is not None and mu < math.inf:
-        # The force grows with the square root of v^T (...)^-1 v.
-        time = case.drive_time or contact_time(mu, case.stiffness)
-        growth = 0.5 * time * mobility.growth(alpha, beta) / mobility.change.speed
-    return case.speed_limit(mu, growth, max_force)
+    growth = gain = 0.0
+    if mu < math.inf:
+        gain = mobility.gain(alpha, beta, case.acceleration_time(mu))
+        if mobility.change is not None:
+            # The force grows with the square root of v^T (...)^-1 v.
+            growth = 0.5 * case.contact_time(mu) * mobility.growth(alpha, beta) / mobility.change.speed
+    return case.speed_limit(mu, growth, max_force, gain)
 
 
 def _pushed(
     case: ContactCase, mobilities: Sequence[Mobility], push: DrivePush, person: MovingPerson | None
 ) -> SpeedLimit:
-    """Return the bound F = P + sqrt(P^2 + k mu u^2) of free joints and the push P; 0 from 2 P = F on."""
+    """Return the bound F = P + sqrt(P^2 + k mu u^2) of free joints and the push P; 0 from 2 P = F on.
+
+    The push contains what accelerates the robot.
+    """
+    mobilities = [replace(mobility, acceleration=NO_ACCELERATION) for mobility in mobilities]
     force = push.force(case.obstacle_mobility)
     square = case.force * (case.force - 2.0 * force)
     if not square > 0.0:

@@ -78,6 +78,12 @@ RULES: Mapping[Assumption, Rule] = {
         "link in the robot file",
         is_stated=lambda robot: not mass_source(robot),
     ),
+    Assumption.ACCELERATION: Rule(
+        is_permissive=True,
+        parameters=("max_acceleration",),
+        text="acceleration not stated, that of the joint states counts: --max-acceleration of the contact points, 0 if "
+        "it does not rise during a contact",
+    ),
 }
 """A row for each assumption, in the order of the messages."""
 

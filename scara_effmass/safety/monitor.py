@@ -72,8 +72,8 @@ class Cause(NamedTuple):
 class Pending(NamedTuple):
     """N joint states between two steps of the assessment.
 
-    `records` (N,) are `State`s and `states` their bytes; `motions` (N, 4, n) are q, qd, tolerances of qd, and the
-    change of a filtered qd within its delay, the first two also as `q` and `qd`; `numbers` (N, P, fields) are those of
+    `records` (N,) are `State`s and `states` their bytes; `motions` (N, 5, n) are q, qd, tolerances of qd,
+    accelerations and their errors, the first two also as `q` and `qd`; `numbers` (N, P, fields) are those of
     the contacts, and `unknown` (fields,) those of a contact without numbers.
     """
 
@@ -144,7 +144,7 @@ class Monitor:
             admit(trial.states, trial.motions, rules, memory, joints)
             trial.records["is_admitted"] = 1
             self.compute(trial)
-            fields = map(self._reference.difference, trial.motions, trial.numbers)
+            fields = map(self._reference.difference, trial.motions, trial.numbers, trial.records["age"].tolist())
             field = next(filter(None, fields), "")
             settle(trial.states, trial.numbers, trial.unknown, rules, memory, debounces)
         except Exception as error:
@@ -364,7 +364,7 @@ class Monitor:
         self._until_check = CHECK_INTERVAL
         if self._why_reference or not pending.records["is_admitted"][0]:
             return
-        field = self._reference.difference(pending.motions[0], pending.numbers[0])
+        field = self._reference.difference(pending.motions[0], pending.numbers[0], float(pending.records["age"][0]))
         if field:
             self._doubt(field)
             pending.records["is_admitted"] = 0
@@ -438,14 +438,15 @@ class Monitor:
         pending.records["is_watchdog"] = 1
         return self.settle(pending)
 
-    def assess_configurations(self, q: FloatArray, qd: FloatArray) -> Assessments:
-        """Return the assessments of configurations `q` (N, n) with velocities `qd` (N, n), each by itself.
+    def assess_configurations(self, q: FloatArray, qd: FloatArray, qdd: FloatArray | None = None) -> Assessments:
+        """Return the assessments of configurations `q` (N, n) with `qd` and `qdd` (N, n), each by itself.
 
-        The velocities count as accurate as those of a first joint state.
+        The velocities count as accurate as those of a first joint state. None is a robot that does not accelerate.
         """
         pending = self._new_pending(len(q))
         pending.records["is_admitted"] = 1
         pending.motions[:, 0], pending.motions[:, 1], pending.motions[:, 2] = q, qd, self.rest_tolerance
+        pending.motions[:, 3] = 0.0 if qdd is None else qdd
         self.compute(pending)
         settled = pending.states, pending.numbers, self._points, self._normal, self._details, self._texts
         return Assessments(*settled, self.assumptions)
@@ -454,7 +455,7 @@ class Monitor:
         records = np.zeros(count, STATE)
         points, joints = len(self.dynamics.contact_points), len(self._joints)
         numbers = np.empty((count, points, CONTACT.itemsize // 8))
-        motions = np.zeros((count, 4, joints))
+        motions = np.zeros((count, 5, joints))
         states, q, qd = records.view(np.uint8), motions[:, 0], motions[:, 1]
         return Pending(records, states, motions, q, qd, numbers, self._kernel, self._unknown, self._texts)
 
@@ -469,6 +470,7 @@ class Monitor:
 
     def _read(self, pending: Pending, layout: Layout, position: FloatArray, velocity: FloatArray) -> None:
         """Put the joint states in order, and admit or refuse them."""
+        pending.motions[:, 3] = 0.0  # the one of the single joint state is used again
         if layout.reason is not Reason.NONE:
             pending.records["reason"][:, VALUES] = layout.value
         else:

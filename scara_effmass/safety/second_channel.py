@@ -10,7 +10,7 @@ import numpy as np
 from scara_effmass.iso15066 import Limit
 from scara_effmass.kernel.records import CONTACT, FIELDS, REASON_SIZE, ByteArray
 from scara_effmass.kernel.state import CODE, STATE, VALUES
-from scara_effmass.reference import ContactResult, RobotDynamics, assess
+from scara_effmass.reference import ContactResult, JointAcceleration, RobotDynamics, assess
 from scara_effmass.settings import ContactType, Drives, MonitorSettings
 from scara_effmass.values import FloatArray
 
@@ -33,17 +33,19 @@ class ReferenceChannel:
     def compute(self, states: ByteArray, motions: FloatArray, numbers: FloatArray) -> None:
         """Write the contacts at the admitted ones of N joint states, as `ContactKernel.compute`."""
         contacts = numbers.view(CONTACT)[..., 0]
-        for row in np.flatnonzero(states.view(STATE)["is_admitted"]).tolist():
-            q, qd, tolerance, _ = motions[row]
-            results = assess(self._dynamics, self._settings, self._limits, q, qd, tolerance.tolist())
+        records = states.view(STATE)
+        for row in np.flatnonzero(records["is_admitted"]).tolist():
+            q, qd, tolerance, qdd, errors = motions[row]
+            acceleration = JointAcceleration(qdd, errors, float(records["age"][row]))
+            results = assess(self._dynamics, self._settings, self._limits, q, qd, tolerance.tolist(), acceleration)
             for contact, result in zip(contacts[row], results, strict=True):
                 fill(contact, result)
 
-    def difference(self, motion: FloatArray, numbers: FloatArray) -> str:
-        """Return the first field in which `numbers` (P, fields) at `motion` (4, n) differ; empty if none does."""
+    def difference(self, motion: FloatArray, numbers: FloatArray, age: float) -> str:
+        """Return the first field in which `numbers` (P, fields) at `motion` (5, n) differ; empty if none does."""
         expected = np.zeros((1, *numbers.shape))
         state = np.zeros(1, STATE)
-        state["is_admitted"] = 1
+        state["is_admitted"], state["age"] = 1, age
         self.compute(state.view(np.uint8), motion[None], expected)
         for own, other in zip(numbers.view(CONTACT)[..., 0], expected.view(CONTACT)[0, :, 0], strict=True):
             tolerance = self._tolerance if other["smallest_singular_value"] > SINGULAR else SINGULAR

@@ -182,6 +182,13 @@ class MonitorSettings(FrozenSettings):
     speed_threshold: float = tunable(
         0.005, "speed below which the direction is undefined and the worst one is used [m/s]", gt=0.0, le=1.0
     )
+    max_acceleration: float = tunable(
+        0.0,
+        "largest acceleration of the contact points that the controller may reach during a contact [m/s2]; 0: none "
+        "beyond that of the joint states",
+        ge=0.0,
+        le=1000.0,
+    )
     person_speed: float = tunable(
         0.0,
         "largest speed of the person, in any direction [m/s]: 1.6 for walking, 2.0 for reaching (ISO 13855)",

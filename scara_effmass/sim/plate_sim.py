@@ -109,7 +109,7 @@ class PlateSim:
         mu = servo_reduced_masses(mobilities, k, m_h, servo)[0]
         return np.asarray(normals[np.argmax((normals @ velocity) ** 2 * mu)])
 
-    def touch(
+    def touch(  # noqa: PLR0915 - one time step after the other
         self,
         q: FloatArray,
         qd: FloatArray,
@@ -119,15 +119,17 @@ class PlateSim:
         point: int = 0,
         pace: float = 1.0,
         phase_step: float = PHASE_STEP,
+        qdd: FloatArray | None = None,
+        accelerates_for: float = math.inf,
     ) -> Peak:
         """Return the peak of the force on a plate with the unit `normal` (3,) that contact point `point` touches.
 
         Stiffness and mass of the plate are those of `limit`; a clamped one does not move. A `servo` compensates gravity
-        and moves its reference on at constant velocity, after it has clamped the plate for its stopping time; a
-        controller per joint is tuned to the inertia of its joint at the start. Without `servo`
-        the joints are free, gravity is off, and the contact ends with the first separation. `pace` below 1 scales
-        velocities, effort limits and gravity down and the peak up, so that the arm stays in the pose of the first
-        touch. Raises ArithmeticError if the simulation diverges.
+        and moves its reference on, which gains `qdd` (n,) for the time `accelerates_for` [s], until it has clamped the
+        plate for its stopping time; a controller per joint is tuned to the inertia of its joint at the start. Without
+        `servo` the joints are free but for the torques of `qdd` at the first touch, gravity is off, and the contact
+        ends with the first separation. `pace` below 1 scales velocities, effort limits and gravity down and the peak up, so
+        that the arm stays in the pose of the first touch. Raises ArithmeticError if the simulation diverges.
         """
         model, data, k = self.model, self.data, limit.stiffness_n_m
         mujoco.mj_resetData(model, data)
@@ -136,6 +138,7 @@ class PlateSim:
         rate = math.sqrt(k * (row @ np.linalg.solve(inertia, row) + 1.0 / limit.body_mass_kg))
         coarse, duration, stop = 0.0, 4.0 / rate, math.inf
         model.opt.gravity[2] = 0.0
+        qdd = np.zeros(self.n) if qdd is None else qdd
         velocity, effort = qd * pace, self._robot.effort_limits * pace
         if servo is not None:
             omega = 2.0 * math.pi * servo.bandwidth
@@ -146,6 +149,7 @@ class PlateSim:
         fine = phase_step / rate
         offset = float(normal @ self._position(point))
         acceleration, half = np.zeros(self.n), velocity.copy()
+        free_torque = np.zeros(self.n) if servo or not qdd.any() else self._torque_of(velocity, qdd)
         plate = plate_half = time = depth = step = 0.0
         peak = Peak(0.0, 0.0, 0.0)
         while time < duration:
@@ -162,11 +166,14 @@ class PlateSim:
             if force > peak.force:
                 peak = Peak(force, time, float(np.max(np.abs(data.qpos - q))))
             torque = data.qfrc_applied
-            torque[:] = 0.0
+            torque[:] = free_torque
             if servo is not None:
+                gaining = min(time, stop, accelerates_for)
                 error = q + velocity * min(time, stop) - data.qpos
-                error_rate = velocity * (time < stop) - data.qvel
-                torque[:] = self._torque(servo, error, error_rate, np.diag(inertia)).clip(-effort, effort)
+                error += qdd * gaining * (min(time, stop) - 0.5 * gaining)
+                error_rate = (velocity + qdd * gaining) * (time < stop) - data.qvel
+                now = qdd * (time < min(stop, accelerates_for))
+                torque[:] = self._torque(servo, error, error_rate, now, np.diag(inertia)).clip(-effort, effort)
             if force > 0.0:
                 torque -= force * (normal @ self._jacobian(point))
             mujoco.mj_fwdAcceleration(model, data)
@@ -180,15 +187,23 @@ class PlateSim:
             time += step
         return Peak(peak.force / pace, peak.time, peak.turn)
 
+    def _torque_of(self, qd: FloatArray, qdd: FloatArray) -> FloatArray:
+        """Return the joint torques (n,) that accelerate the arm with `qdd` (n,) at `qd` (n,) in its present pose."""
+        self.data.qvel[:] = qd
+        mujoco.mj_forward(self.model, self.data)
+        torque = np.zeros(self.n)
+        mujoco.mj_mulM(self.model, self.data, torque, qdd)
+        return np.asarray(torque + self.data.qfrc_bias)
+
     def _torque(
-        self, servo: ServoSettings, error: FloatArray, error_rate: FloatArray, inertias: FloatArray
+        self, servo: ServoSettings, error: FloatArray, error_rate: FloatArray, qdd: FloatArray, inertias: FloatArray
     ) -> FloatArray:
-        """Return the joint torques (n,) for errors of position and velocity (n,).
+        """Return the joint torques (n,) for errors of position and velocity (n,), and accelerations `qdd` (n,).
 
         `inertias` (n,) are those to which a controller per joint is tuned.
         """
         omega = 2.0 * math.pi * servo.bandwidth
-        acceleration = omega**2 * error + 2.0 * servo.damping * omega * error_rate
+        acceleration = qdd + omega**2 * error + 2.0 * servo.damping * omega * error_rate
         torque = inertias * acceleration
         if servo.computed_torque:
             mujoco.mj_mulM(self.model, self.data, torque, acceleration)

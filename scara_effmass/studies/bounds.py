@@ -24,6 +24,7 @@ from scipy.optimize import brentq, linprog
 
 from scara_effmass.input_files import read_table
 from scara_effmass.iso15066 import Limit, limits_for
+from scara_effmass.iso15066.contact import contact_time
 from scara_effmass.model.load import load_robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
@@ -103,16 +104,23 @@ class MonitoredArm:
         normal = velocity if plate == "velocity" else rng.normal(size=3)
         return np.asarray(normal * (np.sign(normal @ velocity) / np.linalg.norm(normal)))
 
-    def allowed(self, q: FloatArray, qd: FloatArray, settings: MonitorSettings, point: int = 0) -> FloatArray | None:
+    def allowed(
+        self,
+        q: FloatArray,
+        qd: FloatArray,
+        settings: MonitorSettings,
+        point: int = 0,
+        qdd: FloatArray | None = None,
+    ) -> FloatArray | None:
         """Return `qd` (n,) scaled to the speed that the monitor allows; zeros if it allows no motion.
 
-        None if a joint would exceed its speed limit, or if the monitor has no verdict.
+        The joints accelerate with `qdd` (n,), None for not at all. None if a joint would exceed its speed limit, or if the monitor has no verdict.
         """
         monitor = self._monitors.get(settings) or self._monitors.setdefault(settings, Monitor(self.dynamics, settings))
 
         def margin(scale: float) -> float:
             """Return allowed minus actual speed [m/s]; NaN without a verdict."""
-            contact = monitor.assess_configurations(q[None], scale * qd[None]).contacts[0, point]
+            contact = monitor.assess_configurations(q[None], scale * qd[None], qdd).contacts[0, point]
             is_unknown = contact["verdict"] == Verdict.UNKNOWN
             return math.nan if is_unknown else float(contact["allowable_speed"] - contact["speed"])
 
@@ -141,13 +149,23 @@ def settings_for(region: str = "", **settings: object) -> MonitorSettings:
     )
 
 
-def draw(arm: MonitoredArm, rng: np.random.Generator, settings: MonitorSettings) -> tuple[FloatArray, FloatArray]:
-    """Return a random pose (n,) and the joint velocities (n,) of a random motion, at the allowed speed."""
+def draw(
+    arm: MonitoredArm, rng: np.random.Generator, settings: MonitorSettings, acceleration: float = 0.0
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return a random pose (n,), the joint velocities (n,) of a random motion, at the allowed speed, and accelerations.
+
+    Those (n,) accelerate the contact point at rest with `acceleration` [m/s2], in a random direction.
+    """
     while True:
         q, creep = arm.draw_motion(rng)
-        qd = arm.allowed(q, creep, settings)
+        qdd = np.zeros_like(q)
+        if acceleration:
+            direction = rng.normal(size=3)
+            jacobian, _ = arm.sim.kinematics(q)
+            qdd = np.linalg.pinv(jacobian, rcond=0.1) @ (direction * (acceleration / np.linalg.norm(direction)))
+        qd = arm.allowed(q, creep, settings, qdd=qdd)
         if qd is not None and qd.any():
-            return q, qd
+            return q, qd, qdd
 
 
 def contacts(
@@ -159,9 +177,12 @@ def contacts(
     pushing: ServoSettings | None = None,
     plate: str = "worst",
     pace: float = 1.0,
+    acceleration: float = 0.0,
     **settings: object,
 ) -> FloatArray:
     """Return the peak force over the limit and the turn of the joints [rad, m] of contacts at the allowed speed.
+
+    The contact point accelerates as in `draw`, for the time that the bound assumes.
 
     Shape (count, 2). The `plate` is at the worst angle for free joints, across the velocity, or at a random angle.
     """
@@ -169,9 +190,10 @@ def contacts(
     (limit,) = limits_for(checked)
     results = []
     for _ in range(count):
-        q, qd = draw(arm, rng, checked)
+        q, qd, qdd = draw(arm, rng, checked, acceleration)
         normal = arm.plate_normal(plate, q, qd, limit, rng)
-        peak = arm.sim.touch(q, qd, normal, limit, pushing, pace=pace)
+        time = contact_time(limit.body_mass_kg, limit.stiffness_n_m)
+        peak = arm.sim.touch(q, qd, normal, limit, pushing, pace=pace, qdd=qdd, accelerates_for=time)
         results.append((peak.force / limit.permissible_force_n, peak.turn))
     return np.array(results)
 
@@ -238,7 +260,7 @@ def main() -> None:
     console.print(table)
     ur5, forces = arms["UR5"], []
     for _ in range(args.poses):
-        q, qd = draw(ur5, rng, settings_for())
+        q, qd, _ = draw(ur5, rng, settings_for())
         velocity = ur5.sim.kinematics(q)[0] @ qd
         forces.append(clamping_force(ur5, q, velocity / np.linalg.norm(velocity)))
     quartiles = ", ".join(f"{force:.0f}" for force in np.percentile(forces, (5, 50, 95)))

@@ -195,7 +195,14 @@ def test_options_override_the_parameter_file(cli: Cli, tmp_path: Path) -> None:
         assert result["contact"] == contact
 
 
-VERDICT_OPTIONS = {"person_speed", "person_direction", "drives", "contact_normal", "accept_assumptions"}
+VERDICT_OPTIONS = {
+    "max_acceleration",
+    "person_speed",
+    "person_direction",
+    "drives",
+    "contact_normal",
+    "accept_assumptions",
+}
 
 
 @pytest.mark.parametrize("command", ["assess", "demo", "doctor", "init", "map", "monitor", "validate"])

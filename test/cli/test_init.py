@@ -191,7 +191,7 @@ def test_recording_with_other_names_needs_a_map(cli: Cli, refused: Refused, rena
 def test_a_terminal_is_asked_for_the_map_only_where_names_differ(
     cli: Cli, renamed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    answers = [str(renamed), "full", "a=b", "*_motor=*_joint", *[""] * 6]
+    answers = [str(renamed), "full", "a=b", "*_motor=*_joint", *[""] * 7]
     monkeypatch.setattr(sys, "stdin", Terminal("\n".join([*answers, ""])))
     done = cli("init", "--robot", UR5)
     assert (done.returncode, done.stderr) == (0, "")
@@ -228,6 +228,7 @@ def test_a_terminal_is_asked_for_what_is_missing(
         "body_regions": ["chest,tail", "chest, hand_fingers"],
         "contact": [""],
         "contact_area_m2": ["0", "2e-4"],
+        "max_acceleration": [""],
     }
     typed = "".join(f"{answer}\n" for given in answers.values() for answer in given)
     monkeypatch.setattr(sys, "stdin", Terminal(typed))

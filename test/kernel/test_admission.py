@@ -288,6 +288,34 @@ def test_joint_order_and_extra_joints_change_no_bit(
     assert repr(make_monitor(scara).assess(mixed, NOW)) == repr(make_monitor(scara).assess(plain, NOW))
 
 
+@pytest.mark.parametrize("step_ms", [1, 8])
+def test_acceleration_is_that_of_the_velocities(scara: RobotDynamics, step_ms: int) -> None:
+    """Within 20 ms of a start it is covered by estimate and error; after 0.2 s it is exact; braking has no error."""
+    monitor = make_monitor(scara)
+    steps, qdd = 400 // step_ms, 4.0
+    seconds = np.arange(1, steps + 1)[:, None] * step_ms * 1e-3
+    stamps = NOW + np.arange(1, steps + 1) * step_ms * MS
+
+    def motions(sign: float) -> FloatArray:
+        velocity = 2.0 + sign * qdd * np.maximum(0.0, seconds - 0.1) * np.array([1.0, 0.0, 0.0, 0.0])
+        velocity[:, 1:] = 0.01
+        position = np.array(Q) + np.cumsum(velocity, axis=0) * step_ms * 1e-3 - velocity * step_ms * 5e-4
+        position[:, 0] -= 1.0
+        monitor.clear_history()
+        pending = monitor.admit(tuple(scara.robot.joint_names), stamps, stamps, position, velocity)
+        assert pending is not None
+        assert pending.records["is_admitted"].all()
+        return pending.motions
+
+    faster, braking = motions(1.0), motions(-1.0)
+    start = int(np.searchsorted(seconds[:, 0], 0.1 + 0.02))
+    assert faster[start:, 3:, 0].sum(axis=1).min() > 0.9 * qdd
+    assert faster[-1, 3:, 0] == pytest.approx([qdd, 0.0], abs=0.05)
+    assert braking[-1, 3, 0] == pytest.approx(-qdd, abs=0.05)
+    assert not braking[:, 4, 0].any()
+    assert np.abs(faster[:, 3:, 1:]).max() < 1e-9
+
+
 class TestZeroVelocity:
     """A velocity of exactly zero is valid only for a joint whose position does not change."""
 

@@ -55,6 +55,7 @@ OTHERS = st.fixed_dictionaries(
         "body_regions": st.sampled_from([(), ("chest",), ("hand_fingers", "back_shoulders")]),
         "test_direction": st.sampled_from([(0.0, 0.0, 0.0), (1.0, 0.0, 2.0)]),
         "mass_cap": st.sampled_from([100.0, 1000.0]),
+        "max_acceleration": st.sampled_from([0.0, 2.0]),
     }
 )
 
@@ -64,12 +65,15 @@ def settings_of(**values: object) -> MonitorSettings:
 
 
 def motions_of(dynamics: RobotDynamics, seed: int) -> FloatArray:
-    """Return q, qd and tolerances (STATES, 4, n): at rest, slow, fast, and at poses where axes align."""
+    """Return q, qd, tolerances, qdd and its errors (STATES, 5, n).
+
+    At rest, slow, fast, and at poses where axes align; every third does not accelerate.
+    """
     robot = dynamics.robot
     rng = np.random.default_rng(seed)
     lower = np.maximum(robot.model.lowerPositionLimit, -math.pi)
     upper = np.minimum(robot.model.upperPositionLimit, math.pi)
-    motions = np.zeros((STATES, 4, robot.model.nv))
+    motions = np.zeros((STATES, 5, robot.model.nv))
     q, qd = motions[:, 0], motions[:, 1]
     q[:] = rng.uniform(lower, upper, q.shape)
     aligned = rng.choice([0.0, math.pi / 2.0, -math.pi / 2.0], q.shape)
@@ -77,13 +81,16 @@ def motions_of(dynamics: RobotDynamics, seed: int) -> FloatArray:
     qd[:] = rng.uniform(-1.0, 1.0, q.shape) * 10.0 ** rng.uniform(-4.0, 1.0, (STATES, 1))
     qd[::6] = 0.0
     motions[:, 2] = rng.uniform(0.0, 0.01, q.shape)
+    motions[:, 3] = rng.uniform(-1.0, 1.0, q.shape) * 10.0 ** rng.uniform(-2.0, 1.0, (STATES, 1))
+    motions[:, 4] = rng.uniform(0.0, 0.2, q.shape)
+    motions[::3, 3:] = 0.0
     return motions
 
 
 def computed(channel: ContactKernel | ReferenceChannel, dynamics: RobotDynamics, motions: FloatArray) -> Any:  # noqa: ANN401
     """Return the contacts (N, P) of admitted joint states, of dtype CONTACT."""
     states = np.zeros(len(motions), STATE)
-    states["is_admitted"] = 1
+    states["is_admitted"], states["age"] = 1, np.arange(len(motions)) % 5 * 0.01
     numbers = np.zeros((len(motions), len(dynamics.contacts), CONTACT.itemsize // 8))
     channel.compute(states.view(np.uint8), motions, numbers)
     return numbers.view(CONTACT)[..., 0]

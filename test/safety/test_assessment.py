@@ -326,6 +326,7 @@ def test_person_speed_above_every_limit_gives_violation_at_rest(scara: RobotDyna
 @given(positions, velocities)
 def test_higher_speed_gives_violation(scara: RobotDynamics, q: Vector, qd: Vector) -> None:
     slower = assess_one(scara, q, qd, speed_threshold=1e-9)
+    assume(slower.smallest_singular_value > 1e-4)  # near a singular pose the leading digits cancel
     factor = 1.5 * slower.allowable_speed / slower.speed
     assume(all(abs(factor * v) < limit for v, limit in zip(qd, (12.6, 12.6, 3.0, 50.0), strict=True)))
     faster = assess_one(scara, q, tuple(factor * v for v in qd), speed_threshold=1e-9)  # type: ignore[arg-type]

@@ -27,6 +27,7 @@ STATED: dict[Assumption, dict[str, Any]] = {
     Assumption.CONTACT_SURFACE: {"contact_normal": "worst"},
     Assumption.PERSON_SPEED: {"person_speed": 0.0},
     Assumption.CONTACT_POINTS: {"contact_points": ("ee_link",)},
+    Assumption.ACCELERATION: {"max_acceleration": 0.0},
 }
 """The defaults of the parameters, stated."""
 ALL_STATED: dict[str, Any] = {name: value for values in STATED.values() for name, value in values.items()}
@@ -110,7 +111,7 @@ def test_decision_holds_the_codes_and_the_reason_names_the_others() -> None:
     assert decision is not None
     assert decision.assumptions == monitor.assumptions.assumed
     assert decision.accepted_assumptions == (Assumption.DRIVES,)
-    others = "rotor_inertia, contact_area, person_speed, contact_points"
+    others = "rotor_inertia, contact_area, person_speed, contact_points, acceleration"
     assert decision.reason == f"payload not stated: --payload 0 if there is none; also assumed: {others}"
     assert ("drives", f"accepted: {RULES[Assumption.DRIVES].text}") in monitor.assumptions.lines
     assert set(monitor.assumptions.as_dict()["accepted"]) == {"drives"}

@@ -96,6 +96,19 @@ def test_a_controller_per_joint_stays_within_its_bound(arm: MonitoredArm, bandwi
     assert ratios[True].max() > ratios[False].max()
 
 
+@pytest.mark.parametrize("pushing", [None, ServoSettings(bandwidth=10.0), ServoSettings(computed_torque=True)], ids=str)
+def test_acceleration_that_the_joint_states_show_is_in_the_bound(
+    arm: MonitoredArm, pushing: ServoSettings | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    options: dict[str, Any] = {"pushing": pushing, "acceleration": 3.0}
+    options |= {"drives": "servo", "servo": pushing.model_dump()} if pushing else {}
+    ratio = bounds.contacts(arm, "chest", 12, np.random.default_rng(5), **options)[:, 0]
+    assert 0.7 < ratio.max() < TOLERANCE
+    allowed = MonitoredArm.allowed
+    monkeypatch.setattr(MonitoredArm, "allowed", lambda *args, qdd: allowed(*args, None if qdd is None else 0.0 * qdd))
+    assert bounds.contacts(arm, "chest", 12, np.random.default_rng(5), **options)[:, 0].max() > 1.1
+
+
 @pytest.mark.parametrize("bandwidth", [1.0, 5.0, 20.0])
 @pytest.mark.parametrize("computed_torque", [False, True])
 def test_clamping_by_a_servo_that_stops_stays_within_its_bound(
@@ -136,7 +149,7 @@ def test_clamping_force_is_that_of_a_linear_programme(ur5: MonitoredArm) -> None
     rng = np.random.default_rng(8)
     forces = []
     for _ in range(200):
-        q, qd = bounds.draw(ur5, rng, bounds.settings_for())
+        q, qd, _ = bounds.draw(ur5, rng, bounds.settings_for())
         velocity = ur5.sim.kinematics(q)[0] @ qd
         direction = velocity / np.linalg.norm(velocity)
         force = ur5.dynamics.at(q).contacts[0].clamping_force([direction])
@@ -157,7 +170,7 @@ def test_clamping_by_a_ur5_is_a_violation_at_any_speed(ur5: MonitoredArm, speed:
     rng = np.random.default_rng(9)
     clamped = {"contact": "quasi_static", "body_regions": ["hand_fingers"]}
     for _ in range(10):
-        q, qd = bounds.draw(ur5, rng, bounds.settings_for())
+        q, qd, _ = bounds.draw(ur5, rng, bounds.settings_for())
         velocity = ur5.sim.kinematics(q)[0] @ qd
         length = np.linalg.norm(velocity)
         if bounds.clamping_force(ur5, q, velocity / length) <= 140.0:
@@ -174,7 +187,7 @@ def test_clamping_by_a_ur5_is_a_violation_at_any_speed(ur5: MonitoredArm, speed:
 
 
 def test_clamping_without_effort_limits_is_unknown(scara: MonitoredArm) -> None:
-    q, qd = bounds.draw(scara, np.random.default_rng(10), bounds.settings_for())
+    q, qd, _ = bounds.draw(scara, np.random.default_rng(10), bounds.settings_for())
     decision = assess(scara, q, qd, contact="quasi_static")
     assert decision.contacts[0].verdict is Verdict.UNKNOWN
     assert decision.contacts[0].reason.startswith("the clamping force is unknown")
