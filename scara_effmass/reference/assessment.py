@@ -163,7 +163,7 @@ class ContactAssessor:
         """
         qdd, errors, _ = self.joint_acceleration
         shown, held = self.contact.jacobian @ qdd, self.contact.jacobian_rate @ self.state.qd
-        error, size = self.contact.speed_tolerance(errors), float(np.linalg.norm(shown))
+        error, size = self.contact.speed_tolerance(errors.tolist()), float(np.linalg.norm(shown))
         limit, none = self.settings.max_acceleration, np.zeros(3)
         if limit >= size + error:
             return Acceleration(none, none, limit, math.inf)

@@ -128,8 +128,8 @@ class PlateSim:
         and moves its reference on, which gains `qdd` (n,) for the time `accelerates_for` [s], until it has clamped the
         plate for its stopping time; a controller per joint is tuned to the inertia of its joint at the start. Without
         `servo` the joints are free but for the torques of `qdd` at the first touch, gravity is off, and the contact
-        ends with the first separation. `pace` below 1 scales velocities, effort limits and gravity down and the peak up, so
-        that the arm stays in the pose of the first touch. Raises ArithmeticError if the simulation diverges.
+        ends with the first separation. `pace` below 1 scales velocities, effort limits and gravity down and the peak
+        up, so that the arm stays in the pose of the first touch. Raises ArithmeticError if the simulation diverges.
         """
         model, data, k = self.model, self.data, limit.stiffness_n_m
         mujoco.mj_resetData(model, data)

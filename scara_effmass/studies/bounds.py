@@ -114,7 +114,8 @@ class MonitoredArm:
     ) -> FloatArray | None:
         """Return `qd` (n,) scaled to the speed that the monitor allows; zeros if it allows no motion.
 
-        The joints accelerate with `qdd` (n,), None for not at all. None if a joint would exceed its speed limit, or if the monitor has no verdict.
+        The joints accelerate with `qdd` (n,), None for not at all. None if a joint would exceed its speed limit, or if
+        the monitor has no verdict.
         """
         monitor = self._monitors.get(settings) or self._monitors.setdefault(settings, Monitor(self.dynamics, settings))
 
@@ -158,11 +159,11 @@ def draw(
     """
     while True:
         q, creep = arm.draw_motion(rng)
-        qdd = np.zeros_like(q)
+        qdd: FloatArray = np.zeros_like(q)
         if acceleration:
             direction = rng.normal(size=3)
             jacobian, _ = arm.sim.kinematics(q)
-            qdd = np.linalg.pinv(jacobian, rcond=0.1) @ (direction * (acceleration / np.linalg.norm(direction)))
+            qdd = np.linalg.pinv(jacobian, rcond=0.1) @ (direction * (acceleration / float(np.linalg.norm(direction))))
         qd = arm.allowed(q, creep, settings, qdd=qdd)
         if qd is not None and qd.any():
             return q, qd, qdd
