@@ -58,6 +58,13 @@ METRES_PER_RADIAN = 0.25
 
 
 @inlined
+def displacement(position: float, before: float, period: float) -> float:
+    """Return by how much a joint has moved from the position `before`, the shorter way with a `period`."""
+    moved = position - before
+    return moved - period * math.floor(moved / period + 0.5) if period > 0.0 else moved
+
+
+@inlined
 def forget(memory: Memory, joints: tuple[JointMemory, ...]) -> None:
     """Forget all joint states, and the latest command."""
     memory.last_stamp_ns, memory.sequence, memory.observed_ns = 0, NO_SEQUENCE, 0
@@ -148,7 +155,7 @@ def check_velocities(
     is_wrong = False
     for i in range(len(joints)):
         joint, x, v = joints[i], q[i], qd[i]
-        error = (joint.error + x - joint.position - half_step * (v + joint.velocity)) * decay
+        error = (joint.error + displacement(x, joint.position, joint.period) - half_step * (v + joint.velocity)) * decay
         joint.mean_velocity = (joint.mean_velocity + v * gain) * decay
         change = v - joint.mean_velocity
         joint.peak = max(joint.peak * decay, abs(change))
@@ -185,7 +192,8 @@ def check_zeros(state: State, motion: FloatArray, joints: tuple[JointMemory, ...
     q, qd, tolerances = motion[0], motion[1], motion[2]
     moves, first = False, -1
     for i in range(len(joints)):
-        if qd[i] != 0.0 and abs(q[i] - joints[i].since_position) > tolerances[i] * WINDOW_S:
+        moved = displacement(q[i], joints[i].since_position, joints[i].period)
+        if qd[i] != 0.0 and abs(moved) > tolerances[i] * WINDOW_S:
             moves = True
     for i in range(len(joints)):
         joint = joints[i]
@@ -211,7 +219,7 @@ def check_command(state: State, q: FloatArray, rules: Rules, memory: Memory, joi
         set_reason(state.reason, Reason.OLD_COMMAND, 0, (state.now_ns - memory.command_ns) / 1e9, 0.0, 0.0)
         return True
     for i in range(len(joints)):
-        difference = q[i] - joints[i].command
+        difference = displacement(q[i], joints[i].command, joints[i].period)
         if not abs(difference) <= joints[i].command_tolerance:  # also NaN
             set_reason(state.reason, Reason.COMMAND_MISMATCH, i, difference, 0.0, 0.0)
             return True

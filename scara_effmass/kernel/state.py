@@ -90,7 +90,7 @@ class Memory:
 
 @dataclass
 class JointMemory:
-    """Limits and comparison of one joint [rad, m].
+    """Limits and comparison of one joint [rad, m], whose positions are the same modulo its `period`, 0 for none.
 
     `since_ns` is the stamp of its last disagreement, or of the start of the comparison, `since_position` its position
     then. `error` to `allowance` fade with WINDOW_S: displacement minus integral of the velocity; mean velocity; largest
@@ -101,6 +101,7 @@ class JointMemory:
     lower: float
     upper: float
     max_speed: float
+    period: float
     position_tolerance: float
     command_tolerance: float
     command: float

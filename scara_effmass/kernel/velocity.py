@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from scara_effmass.kernel.admission import displacement
 from scara_effmass.kernel.jit import compiled, inlined
 from scara_effmass.kernel.records import IntArray
 from scara_effmass.values import FloatArray
@@ -14,15 +15,16 @@ from scara_effmass.values import FloatArray
 class VelocityWindow:
     """Filters the velocities of consecutive joint states of n joints.
 
-    Over `window_s` [s], the velocity is the mean of the reported ones, or the slope of the least-squares line through
-    the positions (without a window: through the last two). Both are late by the mean age of the samples. A gap of more
-    than `timeout_s` [s], or a stamp that does not increase, starts over.
+    Their positions have `periods` (n,), 0 for none. Over `window_s` [s], the velocity is the mean of the reported ones,
+    or the slope of the least-squares line through the positions (without a window: through the last two). Both are late
+    by the mean age of the samples. A gap of more than `timeout_s` [s], or a stamp that does not increase, starts over.
     """
 
-    def __init__(self, joints: int, window_s: float, timeout_s: float, from_positions: bool) -> None:  # noqa: FBT001
+    def __init__(self, periods: FloatArray, window_s: float, timeout_s: float, from_positions: bool) -> None:  # noqa: FBT001
         self._window_ns, self._timeout_ns = round(window_s * 1e9), round(timeout_s * 1e9)
         self._from_positions = from_positions
-        self._stamps, self._samples = np.empty(0, np.int64), np.empty((0, joints))
+        self._periods = periods
+        self._stamps, self._samples = np.empty(0, np.int64), np.empty((0, len(periods)))
 
     def reset(self) -> None:
         """Discard the samples."""
@@ -38,7 +40,16 @@ class VelocityWindow:
         stamps, samples = np.concatenate((self._stamps, stamps)), np.concatenate((self._samples, values))
         delays, known = np.zeros(len(motions)), np.ones(len(motions), np.bool_)
         first = filter_rows(
-            stamps, samples, kept, self._window_ns, self._timeout_ns, self._from_positions, motions, delays, known
+            stamps,
+            samples,
+            self._periods,
+            kept,
+            self._window_ns,
+            self._timeout_ns,
+            self._from_positions,
+            motions,
+            delays,
+            known,
         )
         self._stamps, self._samples = stamps[first:], samples[first:]
         return delays, known
@@ -48,6 +59,7 @@ class VelocityWindow:
 def filter_rows(
     stamps: IntArray,
     samples: FloatArray,
+    periods: FloatArray,
     kept: int,
     window_ns: int,
     timeout_ns: int,
@@ -78,8 +90,8 @@ def filter_rows(
             if from_positions:
                 # At constant acceleration, the slope over the newer half lags half as much.
                 half = first + min(count // 2, count - 2)
-                velocity = slope(stamps[first : row + 1], samples[first : row + 1, j])
-                change = 2.0 * (slope(stamps[half : row + 1], samples[half : row + 1, j]) - velocity)
+                velocity = slope(stamps[first : row + 1], samples[first : row + 1, j], periods[j])
+                change = 2.0 * (slope(stamps[half : row + 1], samples[half : row + 1, j], periods[j]) - velocity)
             else:
                 velocity = 0.0
                 for i in range(first, row + 1):
@@ -91,8 +103,11 @@ def filter_rows(
 
 
 @inlined
-def slope(stamps: IntArray, values: FloatArray) -> float:
-    """Return the slope of the least-squares line through `values` (m,) at `stamps` (m,) [ns], per second."""
+def slope(stamps: IntArray, values: FloatArray, period: float) -> float:
+    """Return the slope of the least-squares line through `values` (m,) at `stamps` (m,) [ns], per second.
+
+    With a `period`, no value is more than half of it off the last one.
+    """
     last = len(stamps) - 1
     mean = 0.0
     for i in range(len(stamps)):
@@ -102,6 +117,6 @@ def slope(stamps: IntArray, values: FloatArray) -> float:
     for i in range(len(stamps)):
         time = (stamps[i] - stamps[last]) / 1e9 - mean
         # Values that rest have the slope 0 exactly, however the sum is rounded.
-        product += time * (values[i] - values[last])
+        product += time * displacement(values[i], values[last], period)
         square += time * time
     return product / square

@@ -26,6 +26,8 @@ PARALLEL = 2e-3
 MAX_ANGLE_RAD = 7.0
 """Fixed angle that is certainly not in radians: it exceeds one turn."""
 _ARMATURE_RULE = "must be joint=value (0 or more), joint1,joint2=value"
+CONTINUOUS_LIMIT = 1e6
+"""Limit [rad] of a continuous joint read as revolute, for which Pinocchio uses one coordinate, as joint_states do."""
 _MAX_ROTOR_INERTIA = 1e6
 """Largest rotor inertia that is not a typing error."""
 

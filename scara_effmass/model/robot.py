@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -11,7 +12,7 @@ import pinocchio as pin
 
 from scara_effmass.codes import Assumption
 from scara_effmass.iso15066 import robot_mass
-from scara_effmass.model.description import RotorInertia
+from scara_effmass.model.description import CONTINUOUS_LIMIT, RotorInertia
 from scara_effmass.settings import LumpingSettings, MonitorSettings
 from scara_effmass.values import FloatArray
 
@@ -66,6 +67,11 @@ class Robot:
     def revolute(self) -> tuple[bool, ...]:
         """Whether each joint is revolute (else prismatic)."""
         return tuple(joint.shortname().startswith("JointModelR") for joint in list(self.model.joints)[1:])
+
+    @property
+    def periods(self) -> FloatArray:
+        """Period (n,) [rad] of the position of each continuous joint, 0 of the others."""
+        return np.where(np.asarray(self.model.upperPositionLimit) >= CONTINUOUS_LIMIT, 2.0 * math.pi, 0.0)
 
     @property
     def effort_limits(self) -> FloatArray:

@@ -20,6 +20,7 @@ import pinocchio as pin
 from scara_effmass.errors import RobotError
 from scara_effmass.input_files import read_text
 from scara_effmass.model.description import (
+    CONTINUOUS_LIMIT,
     MAX_ANGLE_RAD,
     RobotDescription,
     RotorInertia,
@@ -36,8 +37,6 @@ MAX_JOINTS = 500
 """Largest number of joints in a file, fixed ones included; the time to check them grows with its square."""
 _MAX_NUMBER = 1e6
 """Largest magnitude of a length, mass or inertia [SI]; beyond it the dynamics overflow."""
-_CONTINUOUS_LIMIT = 1e6
-"""Limit [rad] of a continuous joint read as revolute, for which Pinocchio uses one coordinate, as joint_states do."""
 LIGHT_SHARE = 0.1
 """Share of the moving mass below which joints beyond a contact point may be held in the model."""
 _ROTOR_INERTIA = ("rotor_inertia", "motorInertia")
@@ -345,8 +344,8 @@ def _check_limit(joint: ET.Element, where: str) -> None:
         joint.set("type", "revolute")
         if limit is None:
             limit = ET.SubElement(joint, "limit", effort="0", velocity="0")
-        limit.set("lower", str(-_CONTINUOUS_LIMIT))
-        limit.set("upper", str(_CONTINUOUS_LIMIT))
+        limit.set("lower", str(-CONTINUOUS_LIMIT))
+        limit.set("upper", str(CONTINUOUS_LIMIT))
     hint = f', in the file or as joint_limits "{joint.get("name")}=LOWER UPPER"'
     if limit is None:
         raise RobotError(f"{where}: must have <limit> with lower < upper{hint}")

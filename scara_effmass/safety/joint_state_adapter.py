@@ -46,9 +46,12 @@ class Layout(NamedTuple):
 class JointStateAdapter:
     """Renames joints, puts them in order, and filters the velocity or computes it from positions."""
 
-    def __init__(self, joints: tuple[str, ...], settings: MonitorSettings) -> None:
-        """Expect the `joints` of a robot. Raises SettingsError for a `joint_map` or `joint_names` that miss them."""
-        self._joints = joints
+    def __init__(self, joints: tuple[str, ...], settings: MonitorSettings, periods: FloatArray | None = None) -> None:
+        """Expect the `joints` of a robot, whose positions have `periods` (n,), 0 for none.
+
+        Raises SettingsError for a `joint_map` or `joint_names` that miss them.
+        """
+        self._joints, self._periods = joints, np.zeros(len(joints)) if periods is None else periods
         self._map, self._joint_names = settings.joint_renames, settings.joint_names
         self._layouts: dict[tuple[str, ...], Layout] = {}
         self._reported: tuple[str, ...] | None = None
@@ -69,7 +72,7 @@ class JointStateAdapter:
         """Apply a changed velocity source, window or timeout."""
         self._from_positions = settings.velocity_source is VelocitySource.FROM_POSITIONS
         self._window = (
-            VelocityWindow(len(self._joints), settings.velocity_window, settings.timeout, self._from_positions)
+            VelocityWindow(self._periods, settings.velocity_window, settings.timeout, self._from_positions)
             if settings.filters_velocity
             else None
         )

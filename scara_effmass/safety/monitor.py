@@ -109,7 +109,7 @@ class Monitor:
         self._why_reference = "use_reference" if use_reference else too_large(robot)
         self.kernel_fault = ""
         """Where the kernel disagreed with the reference, which works alone since then; empty if nowhere."""
-        self._adapter = JointStateAdapter(robot.joint_names, settings)
+        self._adapter = JointStateAdapter(robot.joint_names, settings, robot.periods)
         self._rules, self._memory = np.zeros(1, RULES), np.zeros(1, MEMORY)
         self._joints = np.zeros(robot.model.nv, JOINT_MEMORY)
         self._debounces = np.zeros(len(dynamics.contact_points), DEBOUNCE)
@@ -183,6 +183,7 @@ class Monitor:
         joints["lower"] = robot.model.lowerPositionLimit - settings.joint_limit_tolerance
         joints["upper"] = robot.model.upperPositionLimit + settings.joint_limit_tolerance
         joints["max_speed"] = max_speeds * (1.0 + settings.joint_speed_tolerance)
+        joints["period"] = robot.periods
         joints["position_tolerance"] = settings.position_tolerance * self._per_joint
 
     def _use_dynamics(self) -> None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from scara_effmass.kernel.admission import WINDOW_S
+from scara_effmass.model.load import load_robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
     from scara_effmass.values import Decision
 
 JOINTS = ("joint1", "joint2", "joint3", "joint4")
+REPOSITORY = Path(__file__).resolve().parents[2]
 Q = (0.3, 1.2, 0.1, -0.4)
 QD = (0.1, -0.2, 0.05, 0.3)
 NOW = 1_700_000_000_000_000_000
@@ -314,6 +317,27 @@ def test_acceleration_is_that_of_the_velocities(scara: RobotDynamics, step_ms: i
     assert braking[-1, 3, 0] == pytest.approx(-qdd, abs=0.05)
     assert not braking[:, 4, 0].any()
     assert np.abs(faster[:, 3:, 1:]).max() < 1e-9
+
+
+@pytest.mark.parametrize("source", ["reported", "from_positions"])
+@pytest.mark.parametrize("speed", [0.5, -0.5, 0.0])
+def test_position_of_a_continuous_joint_wraps(source: str, speed: float) -> None:
+    """The driver reports angles within +-pi; at rest at pi, they jump between both."""
+    robot = str(REPOSITORY / "test" / "robots" / "kinova.urdf")
+    settings = MonitorSettings.model_validate({"robot": robot, "velocity_source": source, "release_time": 0.0})
+    model = load_robot(settings=settings)
+    assert model.periods[0] == 2.0 * math.pi
+    monitor, names = Monitor(RobotDynamics(model), settings), model.joint_names
+    q, qd = np.mean([model.model.lowerPositionLimit, model.model.upperPositionLimit], axis=0), np.full(len(names), 1e-9)
+    admitted = []
+    for i in range(400):
+        q[0] = math.remainder(3.0 + 0.01 * speed * i if speed else math.pi + 1e-4 * (-1) ** i, 2.0 * math.pi)
+        qd[0] = speed or 1e-9
+        stamp = NOW + 10 * MS * i
+        assessments = monitor.assess_one(JointState(stamp, names, q.copy(), qd), stamp)
+        assert assessments is not None
+        admitted.append(bool(assessments.states["is_admitted"][0]))
+    assert all(admitted[20:])  # until then, zeros are not confirmed
 
 
 class TestZeroVelocity:
