@@ -83,6 +83,8 @@ class Assumption(IntEnum):
     CONTACT_POINTS = 7
     MASSES = 8
     ACCELERATION = 9
+    CONTACT_DAMPING = 10
+    CONTACT_FRICTION = 11
 
 
 class ModelCode(IntEnum):

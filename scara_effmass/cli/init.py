@@ -31,7 +31,8 @@ from scara_effmass.settings.loading import flat_fields
 from scara_effmass.wire.topics import JOINT_STATES
 
 UNASKED = {"payload_topic", "joint_names", "joint_limits", "velocity_source", "velocity_window", "contact_normal"}
-UNASKED |= {"armature", "drives", "person_direction", "accept_assumptions"}
+UNASKED |= {"armature", "drives", "person_direction", "accept_assumptions", "max_joint_acceleration", "reaction_time"}
+UNASKED |= {"contact_damping", "contact_friction"}
 """Options that few cells need."""
 SHOWN = ["robot", "joint_map", "joint_names", "contact_points", "payload_mass", "payload_com", "payload_inertia"]
 SHOWN += ["tool_links", "armature"]

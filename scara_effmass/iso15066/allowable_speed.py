@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from scara_effmass.errors import LimitError
-from scara_effmass.iso15066.contact import contact_time
+from scara_effmass.iso15066.contact import amplification, contact_time
 from scara_effmass.iso15066.drives import MAX_MOBILITY, Line, contact_lines
 from scara_effmass.iso15066.limits import Criterion, Limit
 from scara_effmass.settings import Drives, MonitorSettings
@@ -60,18 +60,20 @@ class SpeedLimit:
 class ContactCase:
     """Contact with one limit: `stiffness` [N/m] includes its uncertainty, `lines` bound 1/mu from below.
 
-    `drive_time` is the time [s] for which the pose changes while drives push on; None: that of free joints.
+    `drive_time` is the time [s] for which the pose changes while drives push on; None: that of free joints. The total
+    force is `amplification` times that of an elastic contact without friction.
     """
 
     limit: Limit
     stiffness: float
     lines: tuple[Line, ...]
     drive_time: float | None
+    amplification: float
 
     @property
     def force(self) -> float:
-        """Permissible force [N]."""
-        return self.limit.permissible_force_n
+        """Permissible force [N] of an elastic contact without friction."""
+        return self.limit.permissible_force_n / self.amplification
 
     @property
     def obstacle_mobility(self) -> float:
@@ -124,6 +126,8 @@ def contact_cases(limits: Iterable[Limit], settings: MonitorSettings | None = No
     stiffness = tuple(limit.stiffness_n_m * (1.0 + settings.stiffness_uncertainty) for limit in limits)
     masses = tuple(limit.body_mass_kg for limit in limits)
 
+    amplified = amplification(settings.contact_damping, settings.contact_friction)
+
     def drive_time(limit: Limit) -> float | None:
         """Return that of the nominal stiffness: a softer contact lasts longer."""
         if settings.drives is Drives.FREE:
@@ -132,7 +136,7 @@ def contact_cases(limits: Iterable[Limit], settings: MonitorSettings | None = No
         return settings.servo.stopping_time if is_clamped else contact_time(limit.body_mass_kg, limit.stiffness_n_m)
 
     cases = [
-        ContactCase(limit, k, lines, drive_time(limit))
+        ContactCase(limit, k, lines, drive_time(limit), amplified)
         for limit, k, lines in zip(
             limits, stiffness, contact_lines(settings.drives, settings.servo, stiffness, masses), strict=True
         )

@@ -49,6 +49,17 @@ def transferred_energy(speed: Quantity | float, reduced_mass: Quantity) -> Quant
     return energy
 
 
+def amplification(damping: float, friction: float) -> float:
+    """Return the bound of the total peak force of a damped contact with friction over that of an elastic one without.
+
+    `damping` is the ratio c / (2 sqrt(mu k)) of a Kelvin-Voigt contact. Its compression x and closing speed u have
+    k x^2 + mu u^2 <= mu v^2, so that k x + c u <= v sqrt(mu k) sqrt(1 + 4 damping^2), by Cauchy and Schwarz. Friction
+    dissipates, so that the energy of the worst normal bounds the normal force as before; the total one is
+    sqrt(1 + friction^2) times that.
+    """
+    return math.sqrt((1.0 + 4.0 * damping * damping) * (1.0 + friction * friction))
+
+
 def contact_time(reduced_mass: float, stiffness: float) -> float:
     """Return the time [s] for which a change of pose counts.
 

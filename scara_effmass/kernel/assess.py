@@ -227,7 +227,7 @@ def force_of(bound: Bound, case: Case, hit: float, setup: Setup) -> float:
         if bound.reduced_mass < setup.mass_cap:
             hit = hit * (1.0 + bound.growth * hit) + bound.gain
         energy = min(bound.reduced_mass, setup.mass_cap) * hit * hit
-    return bound.push + math.sqrt(bound.push * bound.push + case.stiffness * energy)
+    return setup.amplification * (bound.push + math.sqrt(bound.push * bound.push + case.stiffness * energy))
 
 
 @inlined
@@ -354,5 +354,6 @@ def assess_states(
         for j in range(setup.joints):
             work.qd[j], work.errors[j] = motions[i, 1, j], motions[i, 4, j]
         fill_dynamics(motions[i, 0], setup, work)
+        age = states[i].age + setup.reaction_time
         for p in range(len(points)):
-            assess_point(setup, cases, work, points[p], motions[i], states[i].age, contacts[i, p, 0])
+            assess_point(setup, cases, work, points[p], motions[i], age, contacts[i, p, 0])

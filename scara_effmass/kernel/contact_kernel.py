@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from scara_effmass.iso15066 import ContactCase, Limit, contact_cases
+from scara_effmass.iso15066.contact import amplification
 from scara_effmass.kernel.assess import assess_states
 from scara_effmass.kernel.codes import MODELS, NORMALS, Normal
 from scara_effmass.kernel.records import (
@@ -95,11 +96,13 @@ class ContactKernel:
             model_margin=settings.model_margin,
             speed_threshold=settings.speed_threshold,
             max_acceleration=settings.max_acceleration,
+            reaction_time=settings.reaction_time,
+            amplification=amplification(settings.contact_damping, settings.contact_friction),
             person_speed=settings.person_speed,
             speed_uncertainty=settings.speed_uncertainty,
             warn_ratio=settings.warn_ratio,
             external_force=settings.external_force_limit or math.inf,
-            weakest_force=min(case.limit.permissible_force_n for case in cases),
+            weakest_force=min(case.force for case in cases),
             min_alpha=min((alpha / beta for case in cases for alpha, beta in case.lines if beta), default=0.0),
             min_stiffness=min(case.stiffness for case in cases),
             max_drive_time=max(case.drive_time or 0.0 for case in cases),

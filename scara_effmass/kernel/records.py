@@ -109,6 +109,8 @@ class Setup:
     model_margin: float
     speed_threshold: float
     max_acceleration: float
+    reaction_time: float
+    amplification: float
     person_speed: float
     speed_uncertainty: float
     warn_ratio: float

@@ -80,9 +80,21 @@ RULES: Mapping[Assumption, Rule] = {
     ),
     Assumption.ACCELERATION: Rule(
         is_permissive=True,
-        parameters=("max_acceleration",),
+        parameters=("max_acceleration", "max_joint_acceleration"),
         text="acceleration not stated, that of the joint states counts: --max-acceleration of the contact points, 0 if "
-        "it does not rise during a contact",
+        "it does not rise during a contact, or --max-joint-acceleration",
+    ),
+    Assumption.CONTACT_DAMPING: Rule(
+        is_permissive=True,
+        parameters=("contact_damping",),
+        text="contact damping not stated, assumed to be 0: --contact-damping RATIO, 0 for an elastic contact as in "
+        "ISO's model",
+    ),
+    Assumption.CONTACT_FRICTION: Rule(
+        is_permissive=True,
+        parameters=("contact_friction",),
+        text="contact friction not stated, assumed to be 0: --contact-friction, 0 for a force along the normal as in "
+        "ISO's model",
     ),
 }
 """A row for each assumption, in the order of the messages."""

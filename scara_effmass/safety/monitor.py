@@ -33,6 +33,7 @@ from scara_effmass.kernel.state import (
     VALUES,
     WORDS,
 )
+from scara_effmass.model.joint_acceleration import max_joint_accelerations
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety.assessments import Assessments, Records, unknown_numbers
 from scara_effmass.safety.assumptions import NO_ASSUMPTIONS, assumptions_of
@@ -158,6 +159,7 @@ class Monitor:
         """Return the limits of `settings`. Raises LimitError or RobotError for what `apply` refuses."""
         if settings.payload != self.settings.payload:
             self.dynamics.robot.rebuild(settings)
+        max_joint_accelerations(settings.max_joint_acceleration, self.dynamics.robot.joint_names)
         self.dynamics.frame_index(settings.contact_normal_frame, "contact_normal_frame")
         self.dynamics.frame_index(settings.test_direction_frame, "test_direction_frame")
         self.dynamics.frame_index(settings.person_direction_frame, "person_direction_frame")
@@ -170,6 +172,7 @@ class Monitor:
             self.dynamics = self.dynamics.with_payload(settings)
         self.settings, self._limits = settings, limits
         self._adapter.apply(settings)
+        self._max_qdd = max_joint_accelerations(settings.max_joint_acceleration, self.dynamics.robot.joint_names)
         self._use_dynamics()
         robot, rules, joints = self.dynamics.robot, self._rules, self._joints
         rules["timeout_ns"] = round(settings.timeout * NANOSECONDS)
@@ -395,6 +398,10 @@ class Monitor:
 
     def compute(self, pending: Pending) -> None:
         """Compute the contacts of the admitted joint states; several threads may do so at once."""
+        if self._max_qdd is not None:
+            qdd, errors = pending.motions[:, 3], pending.motions[:, 4]
+            is_stated = self._max_qdd >= np.abs(qdd) + errors  # a stated one counts in both directions
+            errors[:], qdd[is_stated] = np.where(is_stated, self._max_qdd, errors), 0.0
         pending.kernel.compute(pending.states, pending.motions, pending.numbers)
 
     def settle(self, pending: Pending) -> Assessments:

@@ -189,6 +189,17 @@ class MonitorSettings(FrozenSettings):
         ge=0.0,
         le=1000.0,
     )
+    max_joint_acceleration: tuple[str, ...] = fixed(
+        (),
+        'largest accelerations that the controller may reach during a contact [rad/s2 or m/s2]: "joint=value", or a '
+        "joint limits file as MoveIt writes it; of every joint",
+    )
+    reaction_time: float = tunable(
+        0.0,
+        "time from a joint state to the robot's reaction to its verdict, for which the acceleration goes on [s]",
+        ge=0.0,
+        le=10.0,
+    )
     person_speed: float = tunable(
         0.0,
         "largest speed of the person, in any direction [m/s]: 1.6 for walking, 2.0 for reaching (ISO 13855)",
@@ -237,6 +248,18 @@ class MonitorSettings(FrozenSettings):
     )
     contact: ContactType = tunable(ContactType.TRANSIENT, "transient (free impact) or quasi_static (clamped)")
     contact_area_m2: float = tunable(1e-4, "contact area for the pressure limit [m2]", gt=0.0, le=0.1)
+    contact_damping: float = tunable(
+        0.0,
+        "damping ratio of the contact (Kelvin-Voigt), which can raise the peak force; 0: an elastic one",
+        ge=0.0,
+        le=2.0,
+    )
+    contact_friction: float = tunable(
+        0.0,
+        "friction coefficient of the contact, which raises the total force; 0: along the normal alone",
+        ge=0.0,
+        le=2.0,
+    )
     max_force: float = tunable(0.0, "own force limit, not above the standard's [N]; 0: none", ge=0.0)
     max_pressure_pa: float = tunable(0.0, "own pressure limit, not above the standard's [Pa]; 0: none", ge=0.0, le=1e8)
     body_mass: float = tunable(
@@ -334,6 +357,13 @@ class MonitorSettings(FrozenSettings):
         if text not in {"worst", "velocity"} and unit_vector(text) is None:
             raise ValueError('must be worst, velocity, or three numbers that are not all 0, such as "0 0 1"')
         return text
+
+    @field_validator("contact_friction")
+    @classmethod
+    def _check_friction(cls, friction: float, info: ValidationInfo) -> float:
+        if friction > 0.0 and info.data.get("contact_normal", "worst") != "worst":
+            raise ValueError("must be 0 unless contact_normal is worst: no bound holds for a known one")
+        return friction
 
     @property
     def filters_velocity(self) -> bool:

@@ -3,7 +3,7 @@
 
 MuJoCo reads the robot file by itself: mass matrix and kinematics are independent of the room `model`, which provides
 only the joints, their limits and the contact points. The plate has the mass m_H of the body part and moves along its
-normal only, without friction and damping.
+normal, with friction in every direction.
 """
 
 import math
@@ -26,6 +26,10 @@ PHASE_STEP = 0.04
 MAX_STEP_S = 2e-3
 """Longest time step without contact."""
 GRAVITY = -9.81
+SLIDING = 0.02
+"""Slip, over the speed of the point, at which friction reaches half of its coefficient."""
+TINY = 1e-12
+"""Speed [m/s] that counts as none."""
 NORMALS = 24
 """Number of plate normals among which the worst one for servo drives is searched."""
 
@@ -36,6 +40,16 @@ class Peak(NamedTuple):
     force: float
     time: float
     turn: float
+
+
+class Surface(NamedTuple):
+    """Damping ratio of a Kelvin-Voigt contact, with its reduced mass at the first touch, and friction coefficient."""
+
+    damping: float = 0.0
+    friction: float = 0.0
+
+
+ELASTIC = Surface()
 
 
 class PlateSim:
@@ -121,8 +135,9 @@ class PlateSim:
         phase_step: float = PHASE_STEP,
         qdd: FloatArray | None = None,
         accelerates_for: float = math.inf,
+        surface: Surface = ELASTIC,
     ) -> Peak:
-        """Return the peak of the force on a plate with the unit `normal` (3,) that contact point `point` touches.
+        """Return the peak of the total force on a plate with the unit `normal` (3,) that contact point `point` touches.
 
         Stiffness and mass of the plate are those of `limit`; a clamped one does not move. A `servo` compensates gravity
         and moves its reference on, which gains `qdd` (n,) for the time `accelerates_for` [s], until it has clamped the
@@ -135,7 +150,8 @@ class PlateSim:
         mujoco.mj_resetData(model, data)
         jacobian, inertia = self.kinematics(q, point)
         row = normal @ jacobian
-        rate = math.sqrt(k * (row @ np.linalg.solve(inertia, row) + 1.0 / limit.body_mass_kg))
+        mobility = row @ np.linalg.solve(inertia, row) + 1.0 / limit.body_mass_kg
+        rate, damping = math.sqrt(k * mobility), 2.0 * surface.damping * math.sqrt(k / mobility)
         coarse, duration, stop = 0.0, 4.0 / rate, math.inf
         model.opt.gravity[2] = 0.0
         qdd = np.zeros(self.n) if qdd is None else qdd
@@ -150,7 +166,8 @@ class PlateSim:
         offset = float(normal @ self._position(point))
         acceleration, half = np.zeros(self.n), velocity.copy()
         free_torque = np.zeros(self.n) if servo or not qdd.any() else self._torque_of(velocity, qdd)
-        plate = plate_half = time = depth = step = 0.0
+        plate, plate_half, sliding = 0.0, np.zeros(3), SLIDING * float(np.linalg.norm(jacobian @ velocity)) + TINY
+        time = depth = step = 0.0
         peak = Peak(0.0, 0.0, 0.0)
         while time < duration:
             # Leapfrog: `half` and `plate_half` are velocities half a step earlier.
@@ -160,11 +177,16 @@ class PlateSim:
             last_depth, depth = depth, float(normal @ self._position(point)) - offset - plate
             if not math.isfinite(depth):
                 raise ArithmeticError(f"{self._robot.name}: simulation of an impact diverged after {time:.6f} s")
-            force = max(k * depth, 0.0)
+            slip = self._jacobian(point) @ data.qvel - plate_half
+            closing = float(normal @ slip)
+            force = max(k * depth + damping * closing, 0.0) if depth > 0.0 or time == 0.0 else 0.0
+            slip -= closing * normal
+            push = force * (normal + surface.friction * slip / (float(np.linalg.norm(slip)) + sliding))
+            total = float(np.linalg.norm(push))
             if servo is None and depth <= 0.0 < time:
                 break
-            if force > peak.force:
-                peak = Peak(force, time, float(np.max(np.abs(data.qpos - q))))
+            if total > peak.force:
+                peak = Peak(total, time, float(np.max(np.abs(data.qpos - q))))
             torque = data.qfrc_applied
             torque[:] = free_torque
             if servo is not None:
@@ -175,15 +197,15 @@ class PlateSim:
                 now = qdd * (time < min(stop, accelerates_for))
                 torque[:] = self._torque(servo, error, error_rate, now, np.diag(inertia)).clip(-effort, effort)
             if force > 0.0:
-                torque -= force * (normal @ self._jacobian(point))
+                torque -= push @ self._jacobian(point)
             mujoco.mj_fwdAcceleration(model, data)
             acceleration[:] = data.qacc_smooth
             closing_speed = max(depth - last_depth, 0.0) / step if step else 0.0
             last_step, step = step, fine if depth >= -2.0 * closing_speed * coarse else max(fine, coarse)
             half += 0.5 * (last_step + step) * acceleration
-            plate_half += 0.5 * (last_step + step) * force / limit.body_mass_kg
+            plate_half += 0.5 * (last_step + step) * push / limit.body_mass_kg
             data.qpos += step * half
-            plate += step * plate_half
+            plate += step * float(normal @ plate_half)
             time += step
         return Peak(peak.force / pace, peak.time, peak.turn)
 

@@ -30,7 +30,7 @@ from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings, ServoSettings
 from scara_effmass.share import share
-from scara_effmass.sim.plate_sim import PlateSim
+from scara_effmass.sim.plate_sim import PlateSim, Surface
 from scara_effmass.values import FloatArray, Verdict
 
 SMALL_TURN = 0.02
@@ -183,7 +183,8 @@ def contacts(
 ) -> FloatArray:
     """Return the peak force over the limit and the turn of the joints [rad, m] of contacts at the allowed speed.
 
-    The contact point accelerates as in `draw`, for the time that the bound assumes.
+    The contact point accelerates as in `draw`, for the time that the bound assumes; damping and friction of the contact
+    are those of the settings.
 
     Shape (count, 2). The `plate` is at the worst angle for free joints, across the velocity, or at a random angle.
     """
@@ -194,7 +195,8 @@ def contacts(
         q, qd, qdd = draw(arm, rng, checked, acceleration)
         normal = arm.plate_normal(plate, q, qd, limit, rng)
         time = contact_time(limit.body_mass_kg, limit.stiffness_n_m)
-        peak = arm.sim.touch(q, qd, normal, limit, pushing, pace=pace, qdd=qdd, accelerates_for=time)
+        surface = Surface(checked.contact_damping, checked.contact_friction)
+        peak = arm.sim.touch(q, qd, normal, limit, pushing, pace=pace, qdd=qdd, accelerates_for=time, surface=surface)
         results.append((peak.force / limit.permissible_force_n, peak.turn))
     return np.array(results)
 

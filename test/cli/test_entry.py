@@ -197,6 +197,10 @@ def test_options_override_the_parameter_file(cli: Cli, tmp_path: Path) -> None:
 
 VERDICT_OPTIONS = {
     "max_acceleration",
+    "max_joint_acceleration",
+    "reaction_time",
+    "contact_damping",
+    "contact_friction",
     "person_speed",
     "person_direction",
     "drives",

@@ -2,11 +2,13 @@
 """Contact formulas: limits of the reduced mass, energy balance, arrays and scalars."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
 
 from scara_effmass.iso15066 import (
     TRANSIENT_S,
@@ -17,6 +19,8 @@ from scara_effmass.iso15066 import (
     robot_mass,
     transferred_energy,
 )
+from scara_effmass.iso15066.contact import amplification
+from scara_effmass.values import FloatArray
 
 masses = st.floats(1e-3, 1e3)
 speeds = st.floats(1e-3, 10.0)
@@ -86,3 +90,39 @@ def test_contact_time() -> None:
     period = 2.0 * math.pi * math.sqrt(2.0 / 25_000.0)
     assert contact_time(2.0, 25_000.0) == pytest.approx(1.5 * period / 4.0)
     assert contact_time(2.0, 20.0) == contact_time(math.inf, 25_000.0) == TRANSIENT_S == 0.5
+
+
+def peak_of(force: Callable[[float, float], float]) -> tuple[float, float]:
+    """Return the peak force of a unit mass at unit speed, and the speed after the contact."""
+
+    def parted(_: float, state: FloatArray) -> float:
+        return float(state[0]) + 1e-9
+
+    parted.terminal, parted.direction = True, -1.0  # type: ignore[attr-defined]
+    motion = solve_ivp(
+        lambda _, state: [state[1], -force(*state)], (0.0, 50.0), [0.0, 1.0], events=parted, rtol=1e-9, max_step=0.01
+    )
+    return max(force(x, u) for x, u in motion.y.T), -float(motion.y[1, -1])
+
+
+@given(st.floats(0.0, 2.0))
+@settings(max_examples=20)
+def test_amplification_bounds_a_damped_spring(damping: float) -> None:
+    peak, _ = peak_of(lambda x, u: max(0.0, x + 2.0 * damping * u))
+    assert peak <= amplification(damping, 0.0)
+    assert peak == pytest.approx(max(peak, 2.0 * damping))
+    assert amplification(damping, 0.0) <= max(1.42, 1.42 * 2.0 * damping)  # not more than by the root of 2 too careful
+
+
+@pytest.mark.parametrize("gain", [0.1, 0.5, 1.0, 2.0, 3.1])
+def test_amplification_bounds_hunt_and_crossley(gain: float) -> None:
+    peak, restitution = peak_of(lambda x, u: max(0.0, x * (1.0 + gain * u)))
+    logarithm = math.log(restitution)
+    damping = -logarithm / math.hypot(math.pi, logarithm)
+    assert restitution > 0.29
+    assert peak <= amplification(damping, 0.0)
+
+
+def test_friction_adds_a_force_across_the_normal() -> None:
+    assert amplification(0.0, 0.75) == pytest.approx(1.25)
+    assert amplification(0.0, 0.0) == 1.0

@@ -56,6 +56,8 @@ OTHERS = st.fixed_dictionaries(
         "test_direction": st.sampled_from([(0.0, 0.0, 0.0), (1.0, 0.0, 2.0)]),
         "mass_cap": st.sampled_from([100.0, 1000.0]),
         "max_acceleration": st.sampled_from([0.0, 2.0]),
+        "reaction_time": st.sampled_from([0.0, 0.1]),
+        "contact_damping": st.sampled_from([0.0, 0.4]),
     }
 )
 

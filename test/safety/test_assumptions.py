@@ -28,6 +28,8 @@ STATED: dict[Assumption, dict[str, Any]] = {
     Assumption.PERSON_SPEED: {"person_speed": 0.0},
     Assumption.CONTACT_POINTS: {"contact_points": ("ee_link",)},
     Assumption.ACCELERATION: {"max_acceleration": 0.0},
+    Assumption.CONTACT_DAMPING: {"contact_damping": 0.0},
+    Assumption.CONTACT_FRICTION: {"contact_friction": 0.0},
 }
 """The defaults of the parameters, stated."""
 ALL_STATED: dict[str, Any] = {name: value for values in STATED.values() for name, value in values.items()}

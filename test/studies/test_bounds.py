@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from scara_effmass.iso15066.contact import amplification
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings, ServoSettings
 from scara_effmass.share import share
@@ -111,6 +112,19 @@ def test_acceleration_that_the_joint_states_show_is_in_the_bound(
 
     monkeypatch.setattr(MonitoredArm, "allowed", without)
     assert bounds.contacts(arm, "chest", 12, np.random.default_rng(5), **options)[:, 0].max() > 1.01
+
+
+@pytest.mark.parametrize("surface", [{"contact_damping": 0.8}, {"contact_friction": 0.8}], ids=str)
+@pytest.mark.parametrize("pushing", [None, ServoSettings(computed_torque=True)], ids=str)
+def test_damping_and_friction_that_are_stated_are_in_the_bound(
+    arm: MonitoredArm, pushing: ServoSettings | None, surface: dict[str, float]
+) -> None:
+    options: dict[str, Any] = {"pushing": pushing, **surface}
+    options |= {"drives": "servo", "servo": pushing.model_dump()} if pushing else {}
+    ratio = bounds.contacts(arm, "chest", 12, np.random.default_rng(5), plate="random", **options)[:, 0]
+    assert 0.5 < ratio.max() < TOLERANCE
+    unstated = ratio.max() * amplification(surface.get("contact_damping", 0.0), surface.get("contact_friction", 0.0))
+    assert unstated > 1.01
 
 
 @pytest.mark.parametrize("bandwidth", [1.0, 5.0, 20.0])
