@@ -153,7 +153,7 @@ def unpredicted(values: dict[str, Any], **instrument: object) -> dict[str, Any]:
     for item in values["tests"][0]["results"]["repetitions"]:
         for name in PREDICTED:
             del item[name]
-    return changed(values, {"instruments": [instrument]})
+    return dict(changed(values, {"instruments": [instrument]}))
 
 
 @pytest.mark.parametrize("contact", ["transient", "quasi_static"])
