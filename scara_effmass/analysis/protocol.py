@@ -141,9 +141,11 @@ class Repetition(FrozenSettings):
     peak_pressure_n_cm2: NotNegative | None = optional(
         "largest pressure, if it was measured [N/cm2]; otherwise force over area is judged"
     )
-    effective_mass_kg: Positive | None = stated("predicted effective mass of the robot along the motion [kg]")
-    reduced_mass_kg: Positive | None = stated("predicted reduced mass mu of robot and device [kg]")
-    predicted_force_n: Positive | None = stated("predicted peak force [N]")
+    effective_mass_kg: Positive | None = optional(
+        "predicted effective mass of the robot along the motion [kg]; needed if the device moves or is softer"
+    )
+    reduced_mass_kg: Positive | None = optional("predicted reduced mass mu of robot and device [kg]")
+    predicted_force_n: Positive | None = optional("predicted peak force [N]")
     simulated: bool | None = stated("true: simulated, not measured")
 
 

@@ -204,6 +204,7 @@ def _unknown_reasons(
         yield "the same contact twice: results.repetitions.time must differ"
     if instrument:
         yield from _instrument_reasons(instrument, protocol, test)
+        yield from _missing_masses(test, instrument)
     elif test.instrument:
         yield f"unknown instrument: {test.instrument}"
     for number, item in enumerate(repetitions, start=1):
@@ -224,6 +225,19 @@ def _instrument_reasons(instrument: Instrument, protocol: Protocol, test: Contac
     other_days = sorted({item.time.date() for item in test.results.repetitions if item.time} - {day})
     if day and other_days:
         yield f"not measured on identity.test_date: {', '.join(map(str, other_days))}"
+
+
+def _missing_masses(test: ContactTest, instrument: Instrument) -> Iterator[str]:
+    """Yield the contacts whose force cannot be judged on their device without the mass of the robot."""
+    point, items = test.point, test.results.repetitions
+    numbers = [number for number, item in enumerate(items, start=1) if item.effective_mass_kg is None]
+    if instrument.fixed is None or not (point.body_region and point.contact_area_m2 and instrument.stiffness_n_m):
+        return  # named as missing themselves
+    transient, _ = _limits(point.body_region, point.contact_area_m2, point.contact)
+    if not _needs_no_mass(instrument, transient):
+        kind = "the device is softer than the region" if instrument.fixed else "the device moves"
+        for number in numbers:
+            yield f"{kind}; missing: tests.{test.id}.results.repetitions.{number}.effective_mass_kg"
 
 
 def _changed_data(repetitions: tuple[Repetition, ...], folder: Path) -> Iterator[str]:
@@ -252,13 +266,7 @@ def _values(test: ContactTest, instrument: Instrument) -> dict[str, float | bool
         values["residual"] = float(np.mean(errors))
     if not (point.body_region and point.contact_area_m2):
         return values
-    settings = MonitorSettings(body_regions=(point.body_region,), contact_area_m2=point.contact_area_m2)
-    transient, held = (
-        limits_for(settings.model_copy(update={"contact": contact}))[0]
-        for contact in (ContactType.TRANSIENT, ContactType.QUASI_STATIC)
-    )
-    if point.contact is ContactType.QUASI_STATIC:  # a clamped body part cannot move
-        transient = replace(transient, body_mass_kg=held.body_mass_kg)
+    transient, held = _limits(point.body_region, point.contact_area_m2, point.contact)
     pressures = [item.peak_pressure_n_cm2 for item in repetitions if item.peak_pressure_n_cm2 is not None]
     pressure_limit = held if point.contact is ContactType.QUASI_STATIC else transient
     # A force is judged without the contact area only if every contact has a pressure that is judged by the same limit.
@@ -270,7 +278,8 @@ def _values(test: ContactTest, instrument: Instrument) -> dict[str, float | bool
     later = [item.force_beyond_0_5_s_n for item in repetitions if item.force_beyond_0_5_s_n is not None]
     if not judged or None in judged or len(later) < len(judged) or instrument.stiffness_n_m is None:
         return values
-    values["converted"] = not _stands_for(instrument.stiffness_n_m, transient)
+    is_converted = any(item.effective_mass_kg for item in repetitions)
+    values["converted"] = is_converted and not _stands_for(instrument.stiffness_n_m, transient)
     values["judged_force_n"], values["held_force_n"] = max(filter(None, judged), default=0.0), max(later)
     ratios = [
         values["judged_force_n"] / values["transient_limit_n"],
@@ -283,22 +292,48 @@ def _values(test: ContactTest, instrument: Instrument) -> dict[str, float | bool
     return values
 
 
+def _limits(region: str, area_m2: float, contact: ContactType | None) -> tuple[Limit, Limit]:
+    """Return the transient and the quasi-static limit of a region."""
+    settings = MonitorSettings(body_regions=(region,), contact_area_m2=area_m2)
+    transient, held = (
+        limits_for(settings.model_copy(update={"contact": kind}))[0]
+        for kind in (ContactType.TRANSIENT, ContactType.QUASI_STATIC)
+    )
+    if contact is ContactType.QUASI_STATIC:  # a clamped body part cannot move
+        transient = replace(transient, body_mass_kg=held.body_mass_kg)
+    return transient, held
+
+
 def _stands_for(stiffness_n_m: float, limit: Limit) -> bool:
     return abs(stiffness_n_m / limit.stiffness_n_m - 1.0) <= STIFFNESS_TOLERANCE
+
+
+def _needs_no_mass(instrument: Instrument, limit: Limit) -> bool:
+    """Return whether the force on the device is an upper bound of that on the region, whatever the robot's mass.
+
+    A fixed device yields less than the body part. A free one may be lighter than the body part and show less force.
+    """
+    stiffness = instrument.stiffness_n_m or 0.0
+    return bool(instrument.fixed) and (stiffness > limit.stiffness_n_m or _stands_for(stiffness, limit))
 
 
 def _judged_force(limit: Limit, instrument: Instrument, item: Repetition) -> float | None:
     """Return the transient force [N] on the region of `limit`, None while values are missing.
 
     The force on a device is converted to the region at equal speed. A device with the stiffness of the region stands
-    for it: there the larger one of measured and converted force counts.
+    for it: there the larger one of measured and converted force counts. Without the mass of the robot, the force on a
+    fixed device that is not softer than the region counts.
     """
-    peak, mass = item.transient_peak_n, item.effective_mass_kg
+    peak, mass, stiffness = item.transient_peak_n, item.effective_mass_kg, instrument.stiffness_n_m
     device = math.inf if instrument.fixed else instrument.moving_mass_kg
-    if peak is None or mass is None or device is None or instrument.stiffness_n_m is None:
+    if peak is None or device is None or stiffness is None:
         return None
-    force = region_force([limit], peak, [mass], device, instrument.stiffness_n_m).force
-    return max(force, peak) if _stands_for(instrument.stiffness_n_m, limit) else force
+    if mass is None:
+        if not _needs_no_mass(instrument, limit):
+            return None
+        return peak * math.sqrt(max(1.0, limit.stiffness_n_m / stiffness))  # of the lightest robot
+    force = region_force([limit], peak, [mass], device, stiffness).force
+    return max(force, peak) if _stands_for(stiffness, limit) else force
 
 
 def write_report(protocol: Protocol, path: Path, folder: Path, options: PageOptions, *, overwrite: bool) -> None:

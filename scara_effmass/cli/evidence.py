@@ -58,5 +58,5 @@ def _lines(evidence: Evidence, output: Path) -> Iterator[tuple[str, str]]:
         text = f"{group.share:.2%} above the limit, worst {group.worst:.3f}, median {group.median:.3f}"
         yield group.setting, f"{DRIVES[group.drives]}: {text}"
     for subject, text, met in evidence.goals():
-        yield "goal met" if met else "goal missed", f"{subject}: {text}"
+        yield "goal met" if met else "goal not met", f"{subject}: {text}"
     yield "written", str(output / PAGE)

@@ -62,6 +62,8 @@ MAX_SHARE = 1e-3
 """Largest share of impacts above the limit that meets the goal."""
 MIN_MEDIAN = 0.75
 """Smallest median of peak / limit, at the worst plate normal, that meets the goal."""
+MIN_IMPACTS_SHARE, MIN_IMPACTS_MEDIAN = 1000, 100
+"""Fewest impacts of a group whose share, or median, can meet the goal."""
 CONFIDENCE = 0.95
 WORST_ROWS = 20
 
@@ -284,16 +286,22 @@ class Evidence:
         return rows
 
     def goals(self) -> list[tuple[str, str, bool]]:
-        """Return for each goal its subject, the result, and whether it is met."""
+        """Return for each goal its subject, the result, and whether it is met; too few impacts do not meet it."""
         goals = []
+
+        def add(group: Group, result: str, fewest: int, *, met: bool) -> None:
+            enough = group.impacts >= fewest
+            text = result if enough else f"too few impacts: {group.impacts} of at least {fewest}; {result}"
+            goals.append((f"{LABELS[group.setting]}; {DRIVES[group.drives]}", text, met and enough))
+
         for setting, drives in GOALS:
             if group := self.group(setting, drives):
                 text = f"{group.share:.2%} above the limit ({group.above} of {group.impacts}, worst {group.worst:.3f})"
-                met = group.share <= MAX_SHARE
-                goals.append((f"{LABELS[setting]}; {DRIVES[drives]}", f"{text}; must be at most {MAX_SHARE:.1%}", met))
+                text += f"; must be at most {MAX_SHARE:.1%}"
+                add(group, text, MIN_IMPACTS_SHARE, met=group.share <= MAX_SHARE)
             if group := self.group(setting, drives, "worst"):
                 text = f"median of peak / limit {group.median:.3f} at the worst normal; must be at least {MIN_MEDIAN:g}"
-                goals.append((f"{LABELS[setting]}; {DRIVES[drives]}", text, group.median >= MIN_MEDIAN))
+                add(group, text, MIN_IMPACTS_MEDIAN, met=group.median >= MIN_MEDIAN)
         return goals
 
     def as_dict(self) -> dict[str, Any]:

@@ -54,6 +54,7 @@ def leaves(item: BaseModel, path: tuple[str | int, ...] = ()) -> Iterator[tuple[
             yield (*path, name)
 
 
+PREDICTED = ("effective_mass_kg", "reduced_mass_kg", "predicted_force_n")
 PATHS = [path for path in leaves(Protocol.model_validate(content())) if path[-1] not in {"note", "evaluation"}]
 
 
@@ -69,7 +70,7 @@ def without(path: tuple[str | int, ...]) -> dict[str, Any]:
 @pytest.mark.parametrize("path", PATHS, ids=lambda path: ".".join(map(str, path)))
 def test_a_missing_field_is_named_and_makes_the_verdict_unknown(path: tuple[str | int, ...], folder: Path) -> None:
     evaluation = result(without(path), folder)
-    if path[-1] in {"moving_mass_kg", "peak_pressure_n_cm2", "raw_offset_s"}:
+    if path[-1] in {"moving_mass_kg", "peak_pressure_n_cm2", "raw_offset_s", *PREDICTED}:
         assert evaluation.verdict == "OK"
         return
     named = [reason for reason in evaluation.reasons if reason.endswith(f".{path[-1]}")]
@@ -145,6 +146,59 @@ def test_force_on_another_stiffness_is_converted(folder: Path) -> None:
     # mu 0.4615 kg with the hand, 2 kg with the fixed device, of a quarter of its stiffness.
     assert evaluation.judged_force_n == pytest.approx(400.0 * np.sqrt(0.25 * (1.0 / (0.5 + 1.0 / 0.6)) / 2.0))
     assert (evaluation.converted, evaluation.verdict) == (True, "OK")
+
+
+def unpredicted(values: dict[str, Any], **instrument: object) -> dict[str, Any]:
+    """Return the protocol without predictions, and with changes of its device."""
+    for item in values["tests"][0]["results"]["repetitions"]:
+        for name in PREDICTED:
+            del item[name]
+    return dict(changed(values, {"instruments": [instrument]}))
+
+
+@pytest.mark.parametrize("contact", ["transient", "quasi_static"])
+@pytest.mark.parametrize("stiffness", [75e3, 300e3])
+@pytest.mark.parametrize(("peak_n", "verdict"), [(100.0, "OK"), (303.0, "VIOLATION")])
+def test_a_measured_force_is_judged_without_predictions(
+    contact: str, stiffness: float, peak_n: float, verdict: str, folder: Path
+) -> None:
+    values = unpredicted(content(peak_n), stiffness_n_m=stiffness)
+    values["tests"][0]["point"]["contact"] = contact
+    evaluation = result(values, folder)
+    assert (evaluation.verdict, evaluation.judged_force_n, evaluation.converted) == (verdict, peak_n, False)
+    assert evaluation.residual is None
+
+
+@pytest.mark.parametrize(
+    ("instrument", "reason"),
+    [
+        ({"stiffness_n_m": 25e3}, "the device is softer than the region"),
+        ({"fixed": False, "moving_mass_kg": 0.2}, "the device moves"),
+        ({"stiffness_n_m": 300e3, "fixed": False, "moving_mass_kg": 2.0}, "the device moves"),
+    ],
+)
+def test_a_softer_or_moving_device_needs_the_mass_of_the_robot(
+    instrument: dict[str, Any], reason: str, folder: Path
+) -> None:
+    evaluation = result(unpredicted(content(50.0), **instrument), folder)
+    names = [f"{reason}; missing: tests.1.results.repetitions.{number}.effective_mass_kg" for number in (1, 2, 3)]
+    assert (evaluation.verdict, list(evaluation.reasons)) == ("UNKNOWN", names)
+
+
+@given(
+    st.floats(50.0, 400.0), st.floats(0.3, 5.0), st.floats(0.1, 50.0), st.sampled_from(["transient", "quasi_static"])
+)
+def test_a_missing_prediction_never_improves_the_verdict(
+    folder: Path, peak_n: float, relative: float, mass: float, contact: str
+) -> None:
+    def rank(values: dict[str, Any]) -> int:
+        change = {"instruments": [{"stiffness_n_m": relative * 75e3}], "tests": [{"point": {"contact": contact}}]}
+        return severity(Verdict[result(changed(values, change), folder).verdict])
+
+    known = content(peak_n)
+    for item in known["tests"][0]["results"]["repetitions"]:
+        item["effective_mass_kg"] = mass
+    assert rank(known) <= rank(unpredicted(content(peak_n)))
 
 
 CHANGES: dict[str, dict[str, Any]] = {

@@ -37,17 +37,17 @@ COLUMNS = (
 
 
 @pytest.fixture
-def write_table(tmp_path: Path) -> Callable[[float], Path]:
-    """Write 200 impacts, 50 for each kind of drives and plate, of `free` and `default`; two of them above the limit.
+def write_table(tmp_path: Path) -> Callable[..., Path]:
+    """Write impacts of `free` and `default`, `count` for each kind of drives and plate; two of them above the limit.
 
-    The median of the worst plates is the argument.
+    The first argument is the median of the worst plates.
     """
 
-    def write(median: float) -> Path:
+    def write(median: float, count: int = 50) -> Path:
         lines = [COLUMNS]
         for number, (drives, plate) in enumerate(product(("free", "computed_torque"), ("worst", "random"))):
-            for i in range(50):
-                index = 50 * number + i
+            for i in range(count):
+                index = count * number + i
                 robot = "UR5" if i % 2 else "i4-550L"
                 for setting in ("free", "default"):
                     above = i < 2 and (setting, drives, plate) == ("free", "free", "worst")
@@ -61,7 +61,7 @@ def write_table(tmp_path: Path) -> Callable[[float], Path]:
     return write
 
 
-def test_shares_and_intervals(write_table: Callable[[float], Path]) -> None:
+def test_shares_and_intervals(write_table: Callable[..., Path]) -> None:
     evidence = Evidence(write_table(0.8))
     assert (evidence.impacts, evidence.robots, evidence.draws) == (200, ["i4-550L", "UR5"], 2.0)
     group = evidence.group("free", "free", "worst")
@@ -78,11 +78,21 @@ def test_shares_and_intervals(write_table: Callable[[float], Path]) -> None:
 
 
 @pytest.mark.parametrize(("median", "met"), [(0.8, [False, True, True, True]), (0.7, [False, False, True, False])])
-def test_goals(write_table: Callable[[float], Path], median: float, met: list[bool]) -> None:
-    assert [goal[2] for goal in Evidence(write_table(median)).goals()] == met
+def test_goals(write_table: Callable[..., Path], median: float, met: list[bool]) -> None:
+    assert [goal[2] for goal in Evidence(write_table(median, 500)).goals()] == met
 
 
-def test_report_states_results_and_what_is_simulated(write_table: Callable[[float], Path]) -> None:
+def test_no_goal_is_met_by_too_few_impacts(write_table: Callable[..., Path]) -> None:
+    goals = Evidence(write_table(0.8, 50)).goals()
+    texts = [text.split(";")[0] for _, text, _ in goals]
+    few = [f"too few impacts: {count}" for count in ("100 of at least 1000", "50 of at least 100")]
+    assert texts == few * 2
+    assert not any(met for _, _, met in goals)
+    limits = Evidence(write_table(0.8, 499)).goals()
+    assert [met for _, _, met in limits] == [False, True, False, True]
+
+
+def test_report_states_results_and_what_is_simulated(write_table: Callable[..., Path]) -> None:
     folder = write_table(0.8).parent
     write_evidence(folder, 1, overwrite=False)
     page = (folder / PAGE).read_text(encoding="utf-8")
@@ -93,7 +103,7 @@ def test_report_states_results_and_what_is_simulated(write_table: Callable[[floa
     assert {path.suffix for path in folder.iterdir()} == {".csv", ".html", ".json", ".png", ".svg"}
 
 
-def test_figure_has_a_panel_per_drives_and_plate(write_table: Callable[[float], Path]) -> None:
+def test_figure_has_a_panel_per_drives_and_plate(write_table: Callable[..., Path]) -> None:
     figure = draw_evidence(Evidence(write_table(0.8)))
     assert [len(axes.get_lines()) for axes in figure.axes] == [4, 4, 4, 4, 2, 2]  # two settings, limit and median
 
