@@ -28,6 +28,8 @@ MAX_STEP_S = 2e-3
 GRAVITY = -9.81
 SLIDING = 0.02
 """Slip, over the speed of the point, at which friction reaches half of its coefficient."""
+ROUNDS = 60
+"""Rounds of the search of the worst velocity of a person."""
 TINY = 1e-12
 """Speed [m/s] that counts as none."""
 NORMALS = 24
@@ -50,6 +52,8 @@ class Surface(NamedTuple):
 
 
 ELASTIC = Surface()
+AT_REST = np.zeros(3)
+"""Velocity of a person who stands still."""
 
 
 class PlateSim:
@@ -100,8 +104,27 @@ class PlateSim:
         mujoco.mj_forward(self.model, self.data)
         return np.array(self.data.qfrc_bias)
 
+    def worst_person(self, q: FloatArray, qd: FloatArray, limit: Limit, speed: float, point: int = 0) -> FloatArray:
+        """Return the velocity (3,) of a person at `speed` [m/s] with the largest energy of a contact with free joints.
+
+        The energy is convex in the velocity, so that stepping to the end of its gradient converges.
+        """
+        jacobian, inertia = self.kinematics(q, point)
+        mobility = jacobian @ np.linalg.solve(inertia, jacobian.T) + np.eye(3) / limit.body_mass_kg
+        person = np.zeros(3)
+        for _ in range(ROUNDS):
+            towards = np.linalg.solve(mobility, jacobian @ qd - person)
+            person = -speed * towards / np.linalg.norm(towards)
+        return person
+
     def worst_normal(
-        self, q: FloatArray, qd: FloatArray, limit: Limit, servo: ServoSettings | None = None, point: int = 0
+        self,
+        q: FloatArray,
+        qd: FloatArray,
+        limit: Limit,
+        servo: ServoSettings | None = None,
+        point: int = 0,
+        person: FloatArray = AT_REST,
     ) -> FloatArray:
         """Return the unit normal (3,) along which the force is largest, in the pose of the first touch.
 
@@ -109,7 +132,7 @@ class PlateSim:
         free joints, to infinity, for an immovable robot.
         """
         jacobian, inertia = self.kinematics(q, point)
-        mobility, velocity = jacobian @ np.linalg.solve(inertia, jacobian.T), jacobian @ qd
+        mobility, velocity = jacobian @ np.linalg.solve(inertia, jacobian.T), jacobian @ qd - person
         least = 1.0 / limit.body_mass_kg
         if servo is None:
             normal = np.linalg.solve(mobility + least * np.eye(3), velocity)
@@ -136,10 +159,12 @@ class PlateSim:
         qdd: FloatArray | None = None,
         accelerates_for: float = math.inf,
         surface: Surface = ELASTIC,
+        person: FloatArray = AT_REST,
     ) -> Peak:
         """Return the peak of the total force on a plate with the unit `normal` (3,) that contact point `point` touches.
 
-        Stiffness and mass of the plate are those of `limit`; a clamped one does not move. A `servo` compensates gravity
+        Stiffness and mass of the plate are those of `limit`; a clamped one does not move, another one has the velocity
+        `person` (3,) [m/s] at first. A `servo` compensates gravity
         and moves its reference on, which gains `qdd` (n,) for the time `accelerates_for` [s], until it has clamped the
         plate for its stopping time; a controller per joint is tuned to the inertia of its joint at the start. Without
         `servo` the joints are free but for the torques of `qdd` at the first touch, gravity is off, and the contact
@@ -166,7 +191,7 @@ class PlateSim:
         offset = float(normal @ self._position(point))
         acceleration, half = np.zeros(self.n), velocity.copy()
         free_torque = np.zeros(self.n) if servo or not qdd.any() else self._torque_of(velocity, qdd)
-        plate, plate_half, sliding = 0.0, np.zeros(3), SLIDING * float(np.linalg.norm(jacobian @ velocity)) + TINY
+        plate, plate_half, sliding = 0.0, person * pace, SLIDING * float(np.linalg.norm(jacobian @ velocity)) + TINY
         time = depth = step = 0.0
         peak = Peak(0.0, 0.0, 0.0)
         while time < duration:

@@ -14,6 +14,7 @@ import math
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,8 @@ from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings, ServoSettings
 from scara_effmass.share import share
-from scara_effmass.sim.plate_sim import PlateSim, Surface
+from scara_effmass.sim.plate_sim import AT_REST, PlateSim, Surface
+from scara_effmass.studies.random_arm import random_arm
 from scara_effmass.values import FloatArray, Verdict
 
 SMALL_TURN = 0.02
@@ -49,6 +51,9 @@ MIN_LEVER = 1e-3
 TABLES = read_table(__file__, "bounds.yaml")
 ROBOTS: Mapping[str, Mapping[str, Any]] = TABLES["robots"]
 """A SCARA, two arms with six axes and one with seven."""
+RANDOM_ARM = "random arm "
+MAX_MONITORS = 50
+"""Number of monitors with different settings that an arm keeps."""
 NO_MARGINS: Mapping[str, Any] = TABLES["no_margins"]
 
 
@@ -87,6 +92,18 @@ class MonitoredArm:
             if speed > MIN_LEVER * np.linalg.norm(qd):
                 return q, qd * (CREEP_MPS / speed) + TINY
 
+    def accelerations(
+        self, rng: np.random.Generator, q: FloatArray, point: int = 0, acceleration: float = 0.0
+    ) -> FloatArray:
+        """Return joint accelerations (n,) that give the contact point `acceleration` [m/s2] in a random direction.
+
+        Near singular poses it is less, so that no joint accelerates beyond all bounds.
+        """
+        direction = rng.normal(size=3)
+        jacobian, _ = self.sim.kinematics(q, point)
+        wanted = direction * (acceleration / float(np.linalg.norm(direction)))
+        return np.asarray(np.linalg.pinv(jacobian, rcond=0.1) @ wanted)
+
     def plate_normal(
         self,
         plate: str,
@@ -96,11 +113,15 @@ class MonitoredArm:
         rng: np.random.Generator,
         servo: ServoSettings | None = None,
         point: int = 0,
+        person: FloatArray = AT_REST,
     ) -> FloatArray:
-        """Return the unit normal (3,) of a `plate` at the worst angle, across the velocity, or at a random angle."""
+        """Return the unit normal (3,) of a `plate` at the worst angle, across the velocity, or at a random angle.
+
+        The velocity is that relative to a `person` (3,) [m/s].
+        """
         if plate == "worst":
-            return self.sim.worst_normal(q, qd, limit, servo, point)
-        velocity = self.sim.kinematics(q, point)[0] @ qd
+            return self.sim.worst_normal(q, qd, limit, servo, point, person)
+        velocity = self.sim.kinematics(q, point)[0] @ qd - person
         normal = velocity if plate == "velocity" else rng.normal(size=3)
         return np.asarray(normal * (np.sign(normal @ velocity) / np.linalg.norm(normal)))
 
@@ -117,6 +138,8 @@ class MonitoredArm:
         The joints accelerate with `qdd` (n,), None for not at all. None if a joint would exceed its speed limit, or if
         the monitor has no verdict.
         """
+        if len(self._monitors) >= MAX_MONITORS:
+            self._monitors.clear()
         monitor = self._monitors.get(settings) or self._monitors.setdefault(settings, Monitor(self.dynamics, settings))
 
         def margin(scale: float) -> float:
@@ -136,7 +159,12 @@ class MonitoredArm:
 
 @cache
 def arm_of(robot: str) -> MonitoredArm:
-    """Return the arm of ROBOTS named `robot`."""
+    """Return the arm of ROBOTS named `robot`, or "random arm N"."""
+    if robot.startswith(RANDOM_ARM):
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / "arm.urdf"
+            path.write_text(random_arm(int(robot.removeprefix(RANDOM_ARM))), encoding="utf-8")
+            return MonitoredArm(path, MonitorSettings(contact_points=("tip", "wrist=link2")))
     case = ROBOTS[robot]
     settings = MonitorSettings(contact_points=tuple(case["contact_points"]))
     return MonitoredArm(share("config", *case["file"]), settings, case.get("armature", 0.0))
@@ -159,11 +187,7 @@ def draw(
     """
     while True:
         q, creep = arm.draw_motion(rng)
-        qdd: FloatArray = np.zeros_like(q)
-        if acceleration:
-            direction = rng.normal(size=3)
-            jacobian, _ = arm.sim.kinematics(q)
-            qdd = np.linalg.pinv(jacobian, rcond=0.1) @ (direction * (acceleration / float(np.linalg.norm(direction))))
+        qdd = arm.accelerations(rng, q, acceleration=acceleration) if acceleration else np.zeros_like(q)
         qd = arm.allowed(q, creep, settings, qdd=qdd)
         if qd is not None and qd.any():
             return q, qd, qdd

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Random impacts at the speed that the monitor allows: how often and by how much does the peak force exceed the limit?
 
-Pose, motion, contact point, region, plate normal, drives and the errors of the link masses are random. The same impact
-is simulated once for each setting of the monitor, at the speed that this setting allows. The table of the impacts is a
-CSV file that grows with each, so that an interrupted run can be resumed.
+Arm, pose, motion, acceleration, contact point, region, person, damping and friction of the contact, plate normal,
+drives and the errors of the link masses are random. The settings state what is simulated. The same impact is simulated
+once for each setting of the monitor, at the speed that this setting allows. The table of the impacts is a CSV file that
+grows with each, so that an interrupted run can be resumed.
 """
 
 from __future__ import annotations
@@ -24,12 +25,11 @@ from scipy.stats import binomtest
 from scara_effmass import __version__
 from scara_effmass.analysis.report import CYCLE, INK, STYLE, new_figure, render, report_figure, write_report_files
 from scara_effmass.errors import OutputError
-from scara_effmass.iso15066 import Limit, limits_for
+from scara_effmass.iso15066 import Limit, contact_time, limits_for
 from scara_effmass.model.lumping import is_scara
-from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import MonitorSettings, ServoSettings
-from scara_effmass.sim.plate_sim import Peak
-from scara_effmass.studies.bounds import ROBOTS, TABLES, arm_of
+from scara_effmass.sim.plate_sim import Peak, Surface
+from scara_effmass.studies.bounds import RANDOM_ARM, ROBOTS, TABLES, arm_of
 from scara_effmass.values import FloatArray
 
 Row = dict[str, str | int | float]
@@ -60,45 +60,81 @@ GOALS = (("free", FREE), ("default", COMPUTED_TORQUE), ("default", PER_JOINT))
 """Settings, each with the drives that it assumes: the force must keep the limit."""
 MAX_SHARE = 1e-3
 """Largest share of impacts above the limit that meets the goal."""
-MIN_MEDIAN = 0.75
-"""Smallest median of peak / limit, at the worst plate normal, that meets the goal."""
+MAX_RATIO = 1.05
+"""Largest peak / limit that meets it."""
+MIN_MEDIANS = {FREE: 0.75, COMPUTED_TORQUE: 0.6, PER_JOINT: 0.75}
+"""Smallest median of peak / limit, at the worst plate normal, that meets the goal, by drives."""
 MIN_IMPACTS_SHARE, MIN_IMPACTS_MEDIAN = 1000, 100
 """Fewest impacts of a group whose share, or median, can meet the goal."""
+RANDOM_ARMS = 40
+MAX_ACCELERATION, MAX_PERSON_SPEED, MAX_DAMPING, MAX_FRICTION = 5.0, 1.6, 0.6, 1.0
+"""Of the contact point [m/s2], of the person [m/s], damping ratio and friction coefficient of the contact."""
 CONFIDENCE = 0.95
 WORST_ROWS = 20
 
 
+class Start(NamedTuple):
+    """Joint velocities `qd` (n,) that a setting allows, velocity (3,) of the person, normal (3,) of the plate."""
+
+    qd: FloatArray
+    person: FloatArray
+    normal: FloatArray
+
+
 class Impact(NamedTuple):
-    """One random impact, and the joint velocities `qd` (n,) that each setting allows.
+    """One random impact, and how it starts with each setting.
 
     `pushing` is the servo, None for free joints. `mass_factors` (n,) are the true masses behind the joints over those
     of the robot file. `draws` counts the motions drawn until one for which every setting keeps all joints within their
-    speed limits.
+    speed limits, and the default allows a motion.
     """
 
     robot: str
     point: int
     limit: Limit
     plate: str
-    normal: FloatArray
     servo: ServoSettings
     pushing: ServoSettings | None
     drives: str
+    surface: Surface
+    person_speed: float
     mass_factors: FloatArray
     q: FloatArray
-    qd: Mapping[str, FloatArray]
+    qdd: FloatArray
+    starts: Mapping[str, Start]
     draws: int
+
+    @property
+    def settings(self) -> dict[str, MonitorSettings]:
+        """SETTINGS for this impact; robots other than a SCARA have no setting `paper`."""
+        robot = arm_of(self.robot).dynamics.robot
+        values: dict[str, Any] = {
+            "body_regions": (self.limit.region,),
+            "servo": self.servo,
+            "person_speed": self.person_speed,
+            "contact_damping": self.surface.damping,
+        }
+        if not is_scara(robot):
+            values["effective_mass_model"] = "full"
+        return {
+            name: MonitorSettings.model_validate(
+                {**values, "contact_friction": 0.0 if name == "paper" else self.surface.friction, **changes}
+            )
+            for name, changes in SETTINGS.items()
+            if is_scara(robot) or changes.get("effective_mass_model") != "lumped"
+        }
 
 
 def draw_impact(seed: int, index: int) -> Impact:
     """Return random impact number `index` of the series `seed`.
 
-    Robot, plate normal (the worst one of the pose, or a random one) and drives (free joints, or a servo) take turns. A
-    motion is drawn again if a setting allows a joint to exceed its speed limit.
+    Robot, plate normal (the worst one of the pose, or a random one) and drives (free joints, or a servo) take turns;
+    every fifth robot is a random arm. A motion is drawn again if a setting allows a joint to exceed its speed limit, or
+    if the default allows none.
     """
     rng = np.random.default_rng((seed, index))
-    turn, robot = divmod(index, len(ROBOTS))
-    name = list(ROBOTS)[robot]
+    turn, robot = divmod(index, len(ROBOTS) + 1)
+    name = f"{RANDOM_ARM}{rng.integers(RANDOM_ARMS)}" if robot == len(ROBOTS) else list(ROBOTS)[robot]
     arm = arm_of(name)
     limits = limits_for(MonitorSettings())
     bandwidth, damping = float(rng.choice(BANDWIDTHS_HZ)), float(rng.choice(DAMPING_RATIOS))
@@ -111,49 +147,79 @@ def draw_impact(seed: int, index: int) -> Impact:
     while True:
         draws += 1
         point = int(rng.integers(len(arm.dynamics.contact_points)))
-        limit = limits[int(rng.integers(len(limits)))]
         q, creep = arm.draw_motion(rng, point, straight=bool(rng.integers(2)))
-        settings = settings_of(arm.dynamics, limit.region, servo)
-        qd: dict[str, FloatArray] = {}
-        for setting, values in settings.items():
-            motion = arm.allowed(q, creep, values, point)
-            if motion is None:
-                break
-            qd[setting] = motion
+        impact = Impact(
+            robot=name,
+            point=point,
+            limit=limits[int(rng.integers(len(limits)))],
+            plate="worst" if turn % 2 == 0 else "random",
+            servo=servo,
+            pushing=None if drives == FREE else servo,
+            drives=drives,
+            surface=Surface(_sometimes(rng, MAX_DAMPING), _sometimes(rng, MAX_FRICTION)),
+            person_speed=_sometimes(rng, 1.0) ** 2 * MAX_PERSON_SPEED,  # slow ones leave a speed more often
+            mass_factors=factors,
+            q=q,
+            qdd=arm.accelerations(rng, q, point, _sometimes(rng, MAX_ACCELERATION)),
+            starts={},
+            draws=draws,
+        )
+        if starts := _starts(impact, creep, rng):
+            return impact._replace(starts=starts)
+
+
+def _sometimes(rng: np.random.Generator, largest: float) -> float:
+    """Return 0 in one half of the cases, else a random number up to `largest`."""
+    return float(rng.uniform(0.0, largest)) if rng.integers(2) else 0.0
+
+
+def _starts(impact: Impact, creep: FloatArray, rng: np.random.Generator) -> dict[str, Start]:
+    """Return the start of the impact with each setting, for the motion `creep` (n,); empty to draw again."""
+    arm, q, limit, point = arm_of(impact.robot), impact.q, impact.limit, impact.point
+    directions, starts = rng.normal(size=(2, 3)), {}
+    for name, settings in impact.settings.items():
+        qd = arm.allowed(q, creep, settings, point, impact.qdd)
+        if qd is None or (name == "default" and not qd.any()):
+            return {}
+        moving = qd if qd.any() else creep
+        if impact.plate == "worst":
+            person = arm.sim.worst_person(q, moving, limit, impact.person_speed, point)
+            normal = arm.sim.worst_normal(q, moving, limit, impact.pushing, point, person)
         else:
-            break
-    plate = "worst" if turn % 2 == 0 else "random"
-    pushing = None if drives == FREE else servo
-    normal = arm.plate_normal(plate, q, creep, limit, rng, pushing, point)
-    return Impact(name, point, limit, plate, normal, servo, pushing, drives, factors, q, qd, draws)
-
-
-def settings_of(dynamics: RobotDynamics, region: str, servo: ServoSettings) -> dict[str, MonitorSettings]:
-    """Return SETTINGS for one body region and one servo; robots other than a SCARA have no setting `paper`."""
-    values: dict[str, Any] = {"body_regions": (region,), "servo": servo}
-    if not is_scara(dynamics.robot):
-        values["effective_mass_model"] = "full"
-    return {
-        name: MonitorSettings.model_validate({**values, **changes})
-        for name, changes in SETTINGS.items()
-        if is_scara(dynamics.robot) or changes.get("effective_mass_model") != "lumped"
-    }
+            person = impact.person_speed * directions[0] / np.linalg.norm(directions[0])
+            closing = float(directions[1] @ (arm.sim.kinematics(q, point)[0] @ moving - person))
+            normal = directions[1] * (np.sign(closing) / np.linalg.norm(directions[1]))
+        starts[name] = Start(qd, person, normal)
+    return starts
 
 
 def simulate(seed: int, index: int) -> list[Row]:
     """Return a row for each setting of random impact number `index`; names hold the units, vectors are text."""
     impact = draw_impact(seed, index)
-    arm, servo = arm_of(impact.robot), impact.servo
+    arm, servo, limit = arm_of(impact.robot), impact.servo, impact.limit
     jacobian, _ = arm.sim.kinematics(impact.q, impact.point)
+    accelerates_for = contact_time(limit.body_mass_kg, limit.stiffness_n_m)
     rows: list[Row] = []
-    for setting, qd in impact.qd.items():
+    for setting, (qd, person, normal) in impact.starts.items():
         peak = Peak(0.0, 0.0, 0.0)
         if qd.any():
-            peak = arm.sim.touch(impact.q, qd, impact.normal, impact.limit, impact.pushing, impact.point)
+            peak = arm.sim.touch(
+                impact.q,
+                qd,
+                normal,
+                limit,
+                impact.pushing,
+                impact.point,
+                qdd=impact.qdd,
+                accelerates_for=accelerates_for,
+                surface=impact.surface,
+                person=person,
+            )
         rows.append(
             {
                 "index": index,
-                "robot": impact.robot,
+                "robot": RANDOM_ARM.strip() if impact.robot.startswith(RANDOM_ARM) else impact.robot,
+                "arm": impact.robot,
                 "contact_point": arm.dynamics.contact_points[impact.point],
                 "region": impact.limit.region,
                 "plate": impact.plate,
@@ -168,10 +234,15 @@ def simulate(seed: int, index: int) -> list[Row]:
                 "ratio": peak.force / impact.limit.permissible_force_n,
                 "time_to_peak_s": peak.time,
                 "turn_to_peak": peak.turn,
-                "normal": _text(impact.normal),
+                "person_speed_m_s": impact.person_speed,
+                "contact_damping": impact.surface.damping,
+                "contact_friction": impact.surface.friction,
+                "normal": _text(normal),
+                "person": _text(person),
                 "mass_factors": _text(impact.mass_factors),
                 "q": _text(impact.q),
                 "qd": _text(qd),
+                "qdd": _text(impact.qdd),
             }
         )
     return rows
@@ -297,11 +368,12 @@ class Evidence:
         for setting, drives in GOALS:
             if group := self.group(setting, drives):
                 text = f"{group.share:.2%} above the limit ({group.above} of {group.impacts}, worst {group.worst:.3f})"
-                text += f"; must be at most {MAX_SHARE:.1%}"
-                add(group, text, MIN_IMPACTS_SHARE, met=group.share <= MAX_SHARE)
+                text += f"; must be at most {MAX_SHARE:.1%}, the worst {MAX_RATIO:g}"
+                add(group, text, MIN_IMPACTS_SHARE, met=group.share <= MAX_SHARE and group.worst <= MAX_RATIO)
+            least = MIN_MEDIANS[drives]
             if group := self.group(setting, drives, "worst"):
-                text = f"median of peak / limit {group.median:.3f} at the worst normal; must be at least {MIN_MEDIAN:g}"
-                add(group, text, MIN_IMPACTS_MEDIAN, met=group.median >= MIN_MEDIAN)
+                text = f"median of peak / limit {group.median:.3f} at the worst normal; must be at least {least:g}"
+                add(group, text, MIN_IMPACTS_MEDIAN, met=group.median >= least)
         return goals
 
     def as_dict(self) -> dict[str, Any]:

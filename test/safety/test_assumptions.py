@@ -113,7 +113,8 @@ def test_decision_holds_the_codes_and_the_reason_names_the_others() -> None:
     assert decision is not None
     assert decision.assumptions == monitor.assumptions.assumed
     assert decision.accepted_assumptions == (Assumption.DRIVES,)
-    others = "rotor_inertia, contact_area, person_speed, contact_points, acceleration"
+    others = "rotor_inertia, contact_area, person_speed, contact_points, acceleration, contact_damping, "
+    others += "contact_friction"
     assert decision.reason == f"payload not stated: --payload 0 if there is none; also assumed: {others}"
     assert ("drives", f"accepted: {RULES[Assumption.DRIVES].text}") in monitor.assumptions.lines
     assert set(monitor.assumptions.as_dict()["accepted"]) == {"drives"}

@@ -121,7 +121,7 @@ def test_damping_and_friction_that_are_stated_are_in_the_bound(
 ) -> None:
     options: dict[str, Any] = {"pushing": pushing, **surface}
     options |= {"drives": "servo", "servo": pushing.model_dump()} if pushing else {}
-    ratio = bounds.contacts(arm, "chest", 12, np.random.default_rng(5), plate="random", **options)[:, 0]
+    ratio = bounds.contacts(arm, "chest", 12, np.random.default_rng(5), **options)[:, 0]
     assert 0.5 < ratio.max() < TOLERANCE
     unstated = ratio.max() * amplification(surface.get("contact_damping", 0.0), surface.get("contact_friction", 0.0))
     assert unstated > 1.01

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Random serial arms, as URDF."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from scara_effmass.values import FloatArray
+
+MIN_AXES, MAX_AXES = 3, 7
+MAX_SPEED = 3.0
+"""Speed limit of each joint [rad/s]."""
+SERIES = 7
+"""Keeps these random numbers apart from those of impacts."""
+GRAVITY = 9.81
+LINK = """  <link name="link{i}"><inertial>
+    <origin xyz="{com}"/><mass value="{mass:.6f}"/>
+    <inertia ixx="{ixx:.6f}" iyy="{iyy:.6f}" izz="{izz:.6f}" ixy="0" ixz="0" iyz="0"/>
+  </inertial></link>
+"""
+JOINT = """  <joint name="joint{i}" type="revolute">
+    <parent link="{parent}"/><child link="link{i}"/><origin xyz="{place}"/><axis xyz="{axis}"/>
+    <limit lower="-2.9" upper="2.9" velocity="{speed}" effort="{effort:.3f}"/><dynamics armature="{armature:.4f}"/>
+  </joint>
+"""
+TIP = """  <link name="tip"/>
+  <joint name="tip_joint" type="fixed"><parent link="link{i}"/><child link="tip"/><origin xyz="{place}"/></joint>
+"""
+
+
+def random_arm(seed: int) -> str:
+    """Return the URDF of arm number `seed`: 3 to 7 revolute axes along x, y or z, no two in a row the same.
+
+    Links are 0.1 to 0.4 m long and weigh 6 kg at the base to 1 kg at the tip, each times 0.5 to 2, like bars. Gravity
+    cannot exceed the effort limits.
+    """
+    rng = np.random.default_rng((SERIES, seed))
+    axes = int(rng.integers(MIN_AXES, MAX_AXES + 1))
+    lengths = rng.uniform(0.1, 0.4, axes + 1)
+    masses = np.linspace(6.0, 1.0, axes) * rng.uniform(0.5, 2.0, axes)
+    spans = [np.array([0.0, 0.0, lengths[0]])]
+    for length in lengths[1:]:
+        direction = rng.normal(size=3)
+        spans.append(direction * (length / np.linalg.norm(direction)))
+    text, axis, parent = '<robot name="random_arm">\n  <link name="base"/>\n', 2, "base"
+    for i in range(axes):
+        span, thickness = spans[i + 1], float(rng.uniform(0.04, 0.1))
+        sizes = np.square(np.abs(span) + thickness)
+        ixx, iyy, izz = (masses[i] / 12.0 * (sizes.sum() - sizes)).tolist()
+        text += LINK.format(i=i + 1, com=_xyz(0.5 * span), mass=masses[i], ixx=ixx, iyy=iyy, izz=izz)
+        effort = GRAVITY * float(masses[i:].sum() * lengths[i + 1 :].sum())
+        text += JOINT.format(
+            i=i + 1,
+            parent=parent,
+            place=_xyz(spans[i]),
+            axis=_xyz(np.eye(3)[axis]),
+            speed=MAX_SPEED,
+            effort=effort,
+            armature=rng.uniform(0.0, 0.1),
+        )
+        axis, parent = (axis + int(rng.integers(1, 3))) % 3, f"link{i + 1}"
+    return text + TIP.format(i=axes, place=_xyz(spans[-1])) + "</robot>\n"
+
+
+def _xyz(vector: FloatArray) -> str:
+    return " ".join(f"{number:.6f}" for number in vector)
