@@ -251,7 +251,7 @@ class Impact(NamedTuple):
 
 
 class LeftOut(NamedTuple):
-    """Force above the threshold that is in no impact, by `reason`: how often, and the largest force [N] and its time."""
+    """Force above the threshold that is in no impact, by `reason`: how often, the largest one [N], and its time."""
 
     reason: str
     count: int

@@ -82,6 +82,9 @@ class Validation:
     limit_force: float
     exceeds_limit: bool
     series: SeriesStatistics
+    held_force: float = 0.0
+    held_limit: float = 0.0
+    held_region: str = ""
 
 
 @dataclass

@@ -16,7 +16,7 @@ Light obstacles (mu near m_H) determine g, heavy ones s. The contact law F = K d
 import math
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import scipy  # loads scipy.optimize and scipy.special on first use; importing scipy.stats would take a second
@@ -439,3 +439,28 @@ def region_force(
             force = peak * math.sqrt(reduced_mass(mass, limit.body_mass_kg) * limit.stiffness_n_m / device)
             forces.append(RegionForce(limit.region, force + load, limit.permissible_force_n, limit.criterion))
     return max(forces, key=lambda region: region.force / region.limit, default=NO_REGION)
+
+
+class _Compared(Protocol):
+    """Forces [N] of an impact on body regions, and their limits: of `ValidatedImpact` and of its message."""
+
+    body_region: str
+    region_force: float
+    limit_force: float
+    held_region: str
+    held_force: float
+    held_limit: float
+
+
+def comparison_text(impact: _Compared) -> str:
+    """Return the force on a body region, converted from the measured peak, and what stayed, each with its limit."""
+
+    def compared(force: float, region: str, limit: float) -> str:
+        return f"{force:.1f} N on {region}, {'ABOVE' if force > limit else 'below'} its limit of {limit:.1f} N"
+
+    if not impact.body_region:
+        return "not converted to a body region"
+    text = f"converted {compared(impact.region_force, impact.body_region, impact.limit_force)}"
+    if impact.held_force:
+        text += f"; held {compared(impact.held_force, impact.held_region, impact.held_limit)}"
+    return text

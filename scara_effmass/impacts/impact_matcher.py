@@ -25,6 +25,7 @@ MAX_CLOCK_RESIDUAL_S = 60.0
 """Maximum uncertainty of a stamp [s]; beyond it, no contact state can be matched."""
 MIN_NORMAL_COMPONENT = 0.1
 """Minimum component of the velocity, or of the sensor's axis, along the normal of the plate."""
+REBOUND = "rebound of an earlier impact"
 PRESS = "press: the force rose slowly, or stayed near its peak"
 MAX_LAGS = 1000
 """Maximum number of lags that are kept, each for force blocks and for impacts."""
@@ -331,7 +332,7 @@ def _invalid_reason(impact: Impact) -> str:
     if impact.incomplete:
         return "incomplete: samples were lost during it"
     if impact.rebound > 0:
-        return "rebound of an earlier impact"
+        return REBOUND
     if impact.is_press:
         return PRESS
     if not MIN_PEAK_FORCE <= impact.peak_force < math.inf:

@@ -41,6 +41,11 @@ class LeftOuts:
         return iter(sorted(self._by_reason.values(), key=lambda item: -item.peak_force))
 
 
+def left_out_text(item: LeftOut) -> str:
+    """Return how often force was left out, and the largest one."""
+    return f"{item.count}: {item.reason} (up to {item.peak_force:.1f} N)"
+
+
 def lasting_peak(force: FloatArray) -> float:
     """Return the largest `force` (n,) [N] that two consecutive samples reach, because a single one can be a glitch."""
     pairs = np.minimum(force[1:], force[:-1])

@@ -293,8 +293,9 @@ def classify(
         whole = durations._replace(longest=sys.maxsize, transient=sys.maxsize)
         tensile_pulses, _ = _contacts(_Signal(-force, valid, saturated, threshold), baseline, whole)
     marks = [(dropouts, dropout_ends, STUCK), (glitches, glitches + 1, SINGLE_SAMPLE)]
-    spans = [(start, stop, reason) for starts, stops, reason in marks for start, stop in zip(starts, stops, strict=True)]
-    spans += [(first, last + 1, NO_CONTACT) for first, last in others]
+    spans = [(first, last + 1, NO_CONTACT) for first, last in others]
+    for starts, stops, reason in marks:
+        spans += [(start, stop, reason) for start, stop in zip(starts.tolist(), stops.tolist(), strict=True)]
     remainders = _remainders(samples - baseline.force, baseline.threshold, contacts, spans)
     return Segment(contacts, tensile_pulses, dropouts, glitches, remainders)
 
@@ -302,7 +303,7 @@ def classify(
 def _remainders(
     force: FloatArray, threshold: float, contacts: Iterable[DetectedContact], spans: Iterable[tuple[int, int, str]]
 ) -> list[Remainder]:
-    """Return what of `force` (n,) [N] is above `threshold` outside of `contacts`: by reason in `spans`, and the rest."""
+    """Return what of `force` (n,) [N] is above `threshold` outside of `contacts`: in `spans` with reasons, and the rest."""
     rest = np.where(np.isfinite(force), force, 0.0)
     remainders = []
     for start, stop, reason in spans:
