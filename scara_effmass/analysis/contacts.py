@@ -146,9 +146,7 @@ def _values(measured: Iterable[Measurement]) -> Iterator[ForceBlock | Impact]:
     return (measurement.value for measurement in measured)
 
 
-def _doubts(
-    contacts: Iterable[Impact], left_out: Iterable[LeftOut], samples: int, detector: Detector
-) -> Iterator[str]:
+def _doubts(contacts: Iterable[Impact], left_out: Iterable[LeftOut], samples: int, detector: Detector) -> Iterator[str]:
     """Yield what makes the list of contacts doubtful."""
     if not samples:
         yield NO_BLOCKS

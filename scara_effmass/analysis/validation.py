@@ -68,8 +68,9 @@ class ValidatedRecording:
     """Contents of one recording, and its part of the `impacts` and `refused` of the whole result.
 
     `dropouts`, `glitches` (single samples) and `sustained_contacts` (too long for impacts) are counted in force blocks;
-    0 if `force_topic` holds impacts. `left_out` is force above the threshold that is in no impact. `relative_uncertainty` is the maximum stated for the force. `losses` lists
-    unreadable parts. If the force is in another file, `force_topic` is its path, `force_offset` [s] was added to its
+    0 if `force_topic` holds impacts. `left_out` is force above the threshold that is in no impact.
+    `relative_uncertainty` is the maximum stated for the force. `losses` lists unreadable parts. If the force is in
+    another file, `force_topic` is its path, `force_offset` [s] was added to its
     stamps, and `force_clock` says so.
     """
 

@@ -119,6 +119,12 @@ def summary_lines(validation: Validation) -> Iterator[tuple[str, str]]:
         yield "", fit_text(model)
     yield "clocks", clock_text(result)
     yield "comparison", result.comparison.text
+    yield from _left_out_lines(validation)
+
+
+def _left_out_lines(validation: Validation) -> Iterator[tuple[str, str]]:
+    """Yield subject and text of each line about what is not in the series."""
+    result = validation.result
     for subject, counts in (("excluded", result.excluded), ("not paired", result.unpaired)):
         for reason in counts:
             yield subject, left_out_text(refused_peak(result, reason))

@@ -264,7 +264,8 @@ class Detector:
 
     def _is_released(self, frame: Frame, unloaded: Baseline) -> bool:
         """Return whether the last frames, and now `frame`, are at the baseline before a load."""
-        is_low = frame.is_present and float(np.median(frame.samples)) <= unloaded.force + QUIET_LEVEL * unloaded.threshold
+        low = unloaded.force + QUIET_LEVEL * unloaded.threshold
+        is_low = frame.is_present and float(np.median(frame.samples)) <= low
         self._frames_at_zero = self._frames_at_zero + 1 if is_low and unloaded.is_quiet(frame) else 0
         return self._frames_at_zero == self._released_frames
 
@@ -339,7 +340,10 @@ class Detector:
         return len(levels) == self._rest_frames and bool(np.ptp(levels) <= REST_SHARE * self._baseline.threshold)
 
     def _adopt(self, frames: Iterable[Frame]) -> list[Impact]:
-        """Adopt `frames` as the baseline, unless the signal is stuck but was noisy before; return a contact that ends."""
+        """Adopt `frames` as the baseline, unless the signal is stuck but was noisy before.
+
+        Returns the contacts that end, or that turn out to be none of drift.
+        """
         baseline = Baseline(self._settings, frames)
         if not (baseline.noise > 0.0 or self._baseline.flat_run > BASELINE_FRAMES * self._frame_size):
             return []
@@ -413,13 +417,15 @@ class Detector:
             return self._lose_baseline(self._segment_start)
         if frame.is_present:
             self._candidates.append(frame)
-        rate, length = self._buffer.block_at(self._segment_start).sample_rate, self._processed - self._segment_start
+        return self._end_long_segment(self._segment_start, level)
+
+    def _end_long_segment(self, start: int, level: float) -> list[Impact]:
+        """Report the segment from `start` on if it is long or its force, at `level` in the last frame, is at rest."""
+        rate, length = self._buffer.block_at(start).sample_rate, self._processed - start
         margin = 3 * self._frame_size  # before the contact
         if level > self._baseline.threshold and length > TRANSIENT_S * rate + margin and self._is_at_rest():
-            return self._lose_baseline(self._segment_start)
-        if length > self._settings.longest * rate + 2 * self._frame_size:
-            return self._split(self._segment_start)
-        return []
+            return self._lose_baseline(start)
+        return self._split(start) if length > self._settings.longest * rate + 2 * self._frame_size else []
 
     def _update_baseline(self, frame: Frame) -> None:
         """Add the quiet frame before `frame` to the baseline if both of its neighbours are quiet."""
@@ -430,9 +436,9 @@ class Detector:
         self._previous_quiet = frame
 
     def _follow_level(self, frame: Frame) -> list[Impact]:
-        """Follow the force without contact, or the load that a contact left; return that contact if it ends or takes long.
+        """Follow the force without contact, or the load that a contact left; notice slow changes, as the baseline does.
 
-        The baseline follows slow changes, too, so they are noticed here.
+        Returns the contact that left the load, if it ends or takes long.
         """
         first, level = self._processed - self._frame_size, 0.5 * (frame.low + frame.high)
         change = self._level.follow(level, self._frame_size / self._rate)

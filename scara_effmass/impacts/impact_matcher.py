@@ -327,16 +327,13 @@ def _unit(vector: Vector3) -> Vector3 | None:
 
 def _invalid_reason(impact: Impact) -> str:
     """Return why `impact` is not a valid measurement of a collision; empty if it is."""
-    if impact.clipped:
-        return "clipped: the force reached the end of the measuring range"
-    if impact.incomplete:
-        return "incomplete: samples were lost during it"
-    if impact.rebound > 0:
-        return REBOUND
-    if impact.is_press:
-        return PRESS
-    if not MIN_PEAK_FORCE <= impact.peak_force < math.inf:
-        return "no positive peak force"
-    if impact.stamp_ns <= 0 or not abs(impact.clock_residual) <= MAX_CLOCK_RESIDUAL_S:
-        return "no usable stamp"
-    return ""
+    has_stamp = impact.stamp_ns > 0 and abs(impact.clock_residual) <= MAX_CLOCK_RESIDUAL_S
+    reasons = {
+        "clipped: the force reached the end of the measuring range": impact.clipped,
+        "incomplete: samples were lost during it": impact.incomplete,
+        REBOUND: impact.rebound > 0,
+        PRESS: impact.is_press,
+        "no positive peak force": not MIN_PEAK_FORCE <= impact.peak_force < math.inf,
+        "no usable stamp": not has_stamp,
+    }
+    return next((reason for reason, applies in reasons.items() if applies), "")

@@ -249,7 +249,7 @@ class _Durations(NamedTuple):
 
 
 class _Signal(NamedTuple):
-    """Force (n,) [N] above baseline, masks (n,) of its valid and of its saturated samples, and contact threshold [N]."""
+    """Force (n,) [N] above baseline, masks (n,) of the valid and the saturated samples, and contact threshold [N]."""
 
     force: FloatArray
     valid: BoolArray
@@ -303,7 +303,7 @@ def classify(
 def _remainders(
     force: FloatArray, threshold: float, contacts: Iterable[DetectedContact], spans: Iterable[tuple[int, int, str]]
 ) -> list[Remainder]:
-    """Return what of `force` (n,) [N] is above `threshold` outside of `contacts`: in `spans` with reasons, and the rest."""
+    """Return the force (n,) [N] above `threshold` outside of `contacts`: `spans` with reasons, and the rest."""
     rest = np.where(np.isfinite(force), force, 0.0)
     remainders = []
     for start, stop, reason in spans:
@@ -462,9 +462,7 @@ def measure(
     )
 
 
-def _contacts(
-    signal: _Signal, baseline: Baseline, durations: _Durations
-) -> tuple[list[DetectedContact], list[Span]]:
+def _contacts(signal: _Signal, baseline: Baseline, durations: _Durations) -> tuple[list[DetectedContact], list[Span]]:
     """Return the contacts in `signal`, and first and last sample of what is above the threshold but no contact."""
     contacts: list[DetectedContact] = []
     others: list[tuple[int, int]] = []
