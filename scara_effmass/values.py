@@ -219,7 +219,7 @@ class ForceBlock(NamedTuple):
 
 
 class Impact(NamedTuple):
-    """One impact detected in the force signal: `Impact.msg`, field by field."""
+    """One contact detected in the force signal, its peak and what stayed: `Impact.msg`, field by field."""
 
     stamp_ns: int
     frame_id: str
@@ -236,6 +236,27 @@ class Impact(NamedTuple):
     source: str
     simulated: bool
     compression_impulse: float = 0.0
+    held_force: float = 0.0
+    load_force: float = 0.0
+
+    @property
+    def reported_ns(self) -> int:
+        """Earliest time of the report: a contact that stays is known only at its end."""
+        return self.stamp_ns + (round(self.duration * 1e9) if self.held_force else 0)
+
+    @property
+    def is_press(self) -> bool:
+        """Whether the force stayed, and rose more slowly than in an impact or stayed near its peak."""
+        return self.held_force > 0.0 and not self.compression_impulse
+
+
+class LeftOut(NamedTuple):
+    """Force above the threshold that is in no impact, by `reason`: how often, the largest one [N], and its time."""
+
+    reason: str
+    count: int
+    peak_force: float
+    stamp_ns: int
 
 
 class Prediction(NamedTuple):
@@ -317,6 +338,9 @@ class ValidatedImpact:
     from_trend: bool
     force_share: float
     simulated: bool
+    held_force: float = 0.0
+    held_limit: float = 0.0
+    held_region: str = ""
 
 
 class RefusedImpact(NamedTuple):
@@ -331,6 +355,7 @@ class RefusedImpact(NamedTuple):
     excluded: bool
     reason: str
     detail: str
+    held_force: float = 0.0
 
 
 class RunInfo(NamedTuple):

@@ -4,6 +4,7 @@
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -162,8 +163,8 @@ def measurements(bag: Bag, topic: Topic, settings: ImportSettings, unreadable: C
     if topic.type in {WRENCH_STAMPED, WRENCH}:
         yield from _import_wrenches(bag, settings.model_copy(update={"topic": topic.name}))
         return
-    check_definition(bag.types, topic.type, str(bag.path))
-    decode = decode_force_block if topic.type == FORCE_BLOCK else decode_impact
+    is_earlier = check_definition(bag.types, topic.type, str(bag.path))
+    decode = decode_force_block if topic.type == FORCE_BLOCK else partial(decode_impact, is_earlier=is_earlier)
     for message in bag.messages([topic.name]):
         if message.type == topic.type:
             try:

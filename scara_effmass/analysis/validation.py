@@ -36,7 +36,7 @@ from scara_effmass.impacts.state_history import recording_offset
 from scara_effmass.impacts.validator import Result, Validator
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import DetectionSettings, ImportSettings, MonitorSettings, ValidatorSettings
-from scara_effmass.values import ForceBlock, Impact, RefusedImpact, RunInfo, ValidatedImpact, Verdict
+from scara_effmass.values import ForceBlock, Impact, LeftOut, RefusedImpact, RunInfo, ValidatedImpact, Verdict
 from scara_effmass.wire.cdr import NS
 
 if TYPE_CHECKING:
@@ -68,8 +68,9 @@ class ValidatedRecording:
     """Contents of one recording, and its part of the `impacts` and `refused` of the whole result.
 
     `dropouts`, `glitches` (single samples) and `sustained_contacts` (too long for impacts) are counted in force blocks;
-    0 if `force_topic` holds impacts. `relative_uncertainty` is the maximum stated for the force. `losses` lists
-    unreadable parts. If the force is in another file, `force_topic` is its path, `force_offset` [s] was added to its
+    0 if `force_topic` holds impacts. `left_out` is force above the threshold that is in no impact.
+    `relative_uncertainty` is the maximum stated for the force. `losses` lists unreadable parts. If the force is in
+    another file, `force_topic` is its path, `force_offset` [s] was added to its
     stamps, and `force_clock` says so.
     """
 
@@ -84,6 +85,7 @@ class ValidatedRecording:
     dropouts: int = 0
     glitches: int = 0
     sustained_contacts: int = 0
+    left_out: tuple[LeftOut, ...] = ()
     force_offset: float = 0.0
     force_clock: str = ""
     sources: tuple[str, ...] = ()
@@ -222,6 +224,7 @@ def _feed(
         validator.add_impact(impact, force_ns)
     recording.dropouts, recording.glitches = detector.dropouts, detector.glitches
     recording.sustained_contacts = detector.sustained_contacts
+    recording.left_out = tuple(detector.left_out)
     undecoded = (f"{line} ({count} times)" if count > 1 else line for line, count in unreadable.items())
     recording.losses = (*bag.losses, *undecoded)
     return recording

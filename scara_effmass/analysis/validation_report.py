@@ -35,11 +35,13 @@ from scara_effmass.analysis.report import (
 )
 from scara_effmass.analysis.validation import Validation, ValidationSettings
 from scara_effmass.impacts.agreement import region_force
+from scara_effmass.impacts.impact_matcher import REBOUND
+from scara_effmass.impacts.load import left_out_text
 from scara_effmass.impacts.validator import ModelResult, Result
 from scara_effmass.input_files import read_table
 from scara_effmass.iso15066 import Limit, force_per_root_stiffness, limits_for
 from scara_effmass.model.robot import Robot
-from scara_effmass.values import ValidatedImpact, Verdict
+from scara_effmass.values import LeftOut, ValidatedImpact, Verdict
 
 RECORD = "report.json"
 FIGURES = read_table(__file__, "validation_figures.yaml")
@@ -60,6 +62,7 @@ UNITS = {
 }
 LINEAR = 1.0
 """Exponent of a linear spring."""
+NO_FORCE = "no force to compare"
 NO_IMPACT = "no impact could be paired with the robot"
 MARKERS = "os^Dv<>pX*"
 """Markers of the configurations; they repeat if there are more."""
@@ -98,10 +101,9 @@ def summary_lines(validation: Validation) -> Iterator[tuple[str, str]]:
     result = validation.result
     yield "result", result.verdict
     yield "limit", limit_text(result)
-    simulated = f", {result.simulated} of them simulated" if result.simulated else ""
-    sustained = sum(recording.sustained_contacts for recording in validation.recordings)
-    longer = f"; {sustained} sustained contacts" if sustained else ""
-    yield "impacts", f"{result.seen} detected, {len(result.impacts)} in the series{simulated}{longer}"
+    if held := held_text(result):
+        yield "held", held
+    yield "impacts", impacts_text(result)
     for recording in validation.recordings:
         if recording.force_clock:
             yield "force", recording.force_clock
@@ -117,9 +119,18 @@ def summary_lines(validation: Validation) -> Iterator[tuple[str, str]]:
         yield "", fit_text(model)
     yield "clocks", clock_text(result)
     yield "comparison", result.comparison.text
+    yield from _left_out_lines(validation)
+
+
+def _left_out_lines(validation: Validation) -> Iterator[tuple[str, str]]:
+    """Yield subject and text of each line about what is not in the series."""
+    result = validation.result
     for subject, counts in (("excluded", result.excluded), ("not paired", result.unpaired)):
-        for reason, count in counts.items():
-            yield subject, f"{count}: {reason}"
+        for reason in counts:
+            yield subject, left_out_text(refused_peak(result, reason))
+    for recording in validation.recordings:
+        for item in recording.left_out:
+            yield "no impact", left_out_text(item)
     for recording in validation.recordings:
         for loss in recording.losses:
             yield "not read", loss
@@ -159,9 +170,42 @@ def limit_text(result: Result) -> str:
     """Return the largest force on a body region relative to its limit, in one line."""
     worst = worst_impact(result)
     if worst is None:
-        return "no force to compare"
-    above = f"{result.exceedances} of {len(result.impacts)} impacts above the limit"
-    return f"{above}; largest {worst.region_force:.0f} N of {worst.limit_force:.0f} N ({worst.body_region})"
+        peak = max((impact.peak_force for impact in result.refused), default=0.0)
+        return f"no peak could be converted to a body region; largest measured peak {peak:.0f} N" if peak else NO_FORCE
+    above = f"{above_limit(result)} of {len(result.impacts)} impacts above the limit"
+    largest = f"largest {worst.region_force:.0f} N of {worst.limit_force:.0f} N ({worst.body_region})"
+    return f"{above}; {largest}, converted from a measured peak of {worst.measured_force:.0f} N"
+
+
+def above_limit(result: Result) -> int:
+    """Return the number of impacts in the series with a force on a body region above its limit."""
+    return sum(impact.exceeds_limit for impact in result.impacts)
+
+
+def held_text(result: Result) -> str:
+    """Return the contacts whose force stayed and the largest one relative to its limit; empty without such contacts."""
+    if not result.held.count:
+        return ""
+    above, worst = f"{result.held.exceedances} of {result.held.count} above the limit", result.held.worst
+    return f"{above}; largest {worst.force:.0f} N of {worst.limit:.0f} N ({worst.region})"
+
+
+def impacts_text(result: Result) -> str:
+    """Return how many contacts are in the series, and what the others are."""
+    simulated = f", {result.simulated} of them simulated" if result.simulated else ""
+    rebounds = result.excluded.get(REBOUND, 0)
+    others = len(result.refused) - rebounds
+    parts = [f"{len(result.impacts)} in the series{simulated}"]
+    parts += [f"{rebounds} rebounds of earlier impacts, which count with them"] if rebounds else []
+    parts += [f"{others} left out, reasons below"] if others else []
+    return "; ".join(parts)
+
+
+def refused_peak(result: Result, reason: str) -> LeftOut:
+    """Return how many impacts were refused for `reason`, and the largest peak."""
+    impacts = [impact for impact in result.refused if impact.reason == reason]
+    largest = max(impacts, key=lambda impact: impact.peak_force)
+    return LeftOut(reason, len(impacts), largest.peak_force, largest.stamp_ns)
 
 
 def record(validation: Validation, settings: ValidationSettings, robot: Robot) -> dict[str, Any]:
@@ -267,6 +311,8 @@ def _page(
         stated_stiffness=stated_stiffness(validation),
         clock_text=clock_text(result),
         worst=worst_impact(result),
+        rebounds=result.excluded.get(REBOUND, 0),
+        remainders=[(item.path.name, left_out) for item in validation.recordings for left_out in item.left_out],
         files=file_hashes(
             [*(path for item in validation.recordings for path in item.files), settings.monitor.robot_path]
         ),

@@ -5,7 +5,7 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import suppress
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -149,8 +149,8 @@ class Bag(ABC):
 
     def impacts(self, topic: str) -> Iterator[Impact]:
         """Yield the impacts of `topic`; see `force_blocks`."""
-        check_definition(self.types, IMPACT, str(self.path))
-        return self._decoded(self.messages([topic]), IMPACT, decode_impact)
+        is_earlier = check_definition(self.types, IMPACT, str(self.path))
+        return self._decoded(self.messages([topic]), IMPACT, partial(decode_impact, is_earlier=is_earlier))
 
     def deserialize(self, message: RawMessage) -> Any:  # noqa: ANN401 - of a class that the bag defines
         """Return a message as an object with the fields of its type. Raises DecodeError."""

@@ -12,6 +12,7 @@ from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_
 from rosbags.typesys.store import Typestore
 
 from scara_effmass.errors import BagError
+from scara_effmass.wire.force import ADDED_FIELDS
 from scara_effmass.wire.message_types import HEADER, JOINT_STATE, OWN_PACKAGE, definition_files
 
 IDL_SEPARATOR = "=" * 80 + "\n"
@@ -60,16 +61,22 @@ def types_of(definitions: frozenset[tuple[str, MessageDefinition]], *, ros1: boo
     return store
 
 
-def check_definition(types: Typestore, message_type: str, origin: str) -> None:
-    """Raise BagError if a bag defines `message_type`, or a type in it, differently from the known definition."""
+def check_definition(types: Typestore, message_type: str, origin: str) -> bool:
+    """Raise BagError if a bag defines `message_type`, or a type in it, differently from the known definition.
+
+    Returns whether the definition is that of an earlier version, without the fields in `ADDED_FIELDS`.
+    """
     known = known_types()
-    for name in _with_nested(known, message_type):
+    added = ADDED_FIELDS.get(message_type, 0)
+    is_earlier = added > 0 and types.fielddefs[message_type][1] == known.fielddefs[message_type][1][:-added]
+    for name in () if is_earlier else _with_nested(known, message_type):
         fields, known_fields = (
             [(field, field_type) for field, field_type in store.fielddefs[name][1]] for store in (types, known)
         )
         if fields != known_fields:
             expected = "this version" if name.startswith(OWN_PACKAGE) else "ROS"
             raise BagError(f"{origin}: definition of {name}: must be that of {expected}; cannot read {message_type}")
+    return is_earlier
 
 
 def _with_nested(types: Typestore, message_type: str) -> Iterator[str]:

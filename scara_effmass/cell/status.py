@@ -78,9 +78,13 @@ class Validation:
     speed: float
     conservative: bool
     body_region: str
+    region_force: float
     limit_force: float
     exceeds_limit: bool
     series: SeriesStatistics
+    held_force: float = 0.0
+    held_limit: float = 0.0
+    held_region: str = ""
 
 
 @dataclass

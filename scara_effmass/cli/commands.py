@@ -35,7 +35,7 @@ GROUPS = {"protocol": "write, fill in and render a measurement protocol of conta
 """Help of commands of two words, by the first word."""
 HELP = {
     "live": ("demo", *NODES, "replay", "record", "watch", "dashboard", "foxglove"),
-    "offline": ("assess", "validate", "protocol", "advise", "coverage", "import"),
+    "offline": ("assess", "validate", "impacts", "protocol", "advise", "coverage", "import"),
     "prepare": ("init", "doctor", "limits", "map", "lump", "completion"),
     "research": ("figures", "campaign", "evidence"),
 }

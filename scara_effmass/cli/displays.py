@@ -24,6 +24,7 @@ from rich.text import Text
 from scara_effmass.cli.console import print_lines, printer
 from scara_effmass.cli.options import load_dynamics, monitor_settings
 from scara_effmass.errors import SettingsError
+from scara_effmass.impacts.agreement import comparison_text
 from scara_effmass.safety.remedies import remedy
 from scara_effmass.values import Verdict, severity
 
@@ -164,11 +165,10 @@ def screen(status: CellStatus, now_ns: int, name: str, width: int, height: int) 
     if status.impacts:
         impact = status.impacts[-1]
         validation = impact.validation
-        text = f"last impact: peak {impact.impact.peak_force:.1f} N, {(now_ns - impact.at_ns) / 1e9:.0f} s ago"
+        held = f", held {impact.impact.held_force:.1f} N" if impact.impact.held_force else ""
+        text = f"last impact: peak {impact.impact.peak_force:.1f} N{held}, {(now_ns - impact.at_ns) / 1e9:.0f} s ago"
         if validation is not None:
-            side = "ABOVE" if validation.exceeds_limit else "below"
-            limit = f"{side} the {validation.limit_force:.0f} N of {validation.body_region}"
-            text += f", predicted {validation.predicted_force:.1f} N; {limit}"
+            text += f", predicted {validation.predicted_force:.1f} N; {comparison_text(validation)}"
         parts.append(Text(text))
     parts.append(_points(status))
     return Group(*parts)

@@ -16,7 +16,7 @@ Light obstacles (mu near m_H) determine g, heavy ones s. The contact law F = K d
 import math
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import scipy  # loads scipy.optimize and scipy.special on first use; importing scipy.stats would take a second
@@ -409,19 +409,58 @@ class RegionForce(NamedTuple):
 NO_REGION = RegionForce("", 0.0, 0.0, "")
 
 
+def static_force(limits: Sequence[Limit], force: float) -> RegionForce:
+    """Return a `force` [N] that acts on a body as on the sensor, with the smallest of `limits`; none if it is 0."""
+    weakest = min(limits, key=lambda limit: limit.permissible_force_n)
+    if not force > 0.0:
+        return NO_REGION
+    return RegionForce(weakest.region, force, weakest.permissible_force_n, weakest.criterion)
+
+
 def region_force(
-    limits: Sequence[Limit], peak: float, robot_masses: Iterable[float], device_mass: float, stiffness: float
+    limits: Sequence[Limit],
+    peak: float,
+    robot_masses: Iterable[float],
+    device_mass: float,
+    stiffness: float,
+    load: float = 0.0,
 ) -> RegionForce:
     """Return the region whose force is closest to its limit or exceeds it most, for any of `robot_masses` [kg].
 
     A mass of 0 is unknown. The measuring device, of `device_mass` [kg] (infinite: fixed) and `stiffness` [N/m],
     measured the `peak` [N]. The energy mu v^2 / 2 = F^2 / (2 k) of ISO/TS 15066, Annex A, at the same speed v gives the
     force on a region, F_region = F sqrt(mu_region k_region / (mu_device k_device)), where mu = 1 / (1/m_robot + 1/m).
+    A static `load` [N] beneath the peak is added.
     """
     forces = []
     for mass in filter(None, robot_masses):
         device = reduced_mass(mass, device_mass) * stiffness
         for limit in limits if 0.0 < device < math.inf else ():
             force = peak * math.sqrt(reduced_mass(mass, limit.body_mass_kg) * limit.stiffness_n_m / device)
-            forces.append(RegionForce(limit.region, force, limit.permissible_force_n, limit.criterion))
+            forces.append(RegionForce(limit.region, force + load, limit.permissible_force_n, limit.criterion))
     return max(forces, key=lambda region: region.force / region.limit, default=NO_REGION)
+
+
+class _Compared(Protocol):
+    """Forces [N] of an impact on body regions, and their limits: of `ValidatedImpact` and of its message."""
+
+    body_region: str
+    region_force: float
+    limit_force: float
+    held_region: str
+    held_force: float
+    held_limit: float
+
+
+def comparison_text(impact: _Compared) -> str:
+    """Return the force on a body region, converted from the measured peak, and what stayed, each with its limit."""
+
+    def compared(force: float, region: str, limit: float) -> str:
+        return f"{force:.1f} N on {region}, {'ABOVE' if force > limit else 'below'} its limit of {limit:.1f} N"
+
+    if not impact.body_region:
+        return "not converted to a body region"
+    text = f"converted {compared(impact.region_force, impact.body_region, impact.limit_force)}"
+    if impact.held_force:
+        text += f"; held {compared(impact.held_force, impact.held_region, impact.held_limit)}"
+    return text

@@ -8,11 +8,32 @@ quiet frame ends it; then the segment is classified as a whole.
 
 import math
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from scara_effmass.impacts.segment import BASELINE_FRAMES, Baseline, DetectedContact, Frame, classify
+from scara_effmass.impacts.load import (
+    EARLIER_LOAD,
+    LATER_LOAD,
+    NO_BASELINE,
+    SLOW_CHANGE,
+    TENSION,
+    HeldContact,
+    LeftOuts,
+    LoadLevel,
+    lasting_peak,
+)
+from scara_effmass.impacts.segment import (
+    BASELINE_FRAMES,
+    NOISE,
+    RELEASE,
+    Baseline,
+    DetectedContact,
+    Frame,
+    Segment,
+    classify,
+)
+from scara_effmass.iso15066 import TRANSIENT_S
 from scara_effmass.settings import DetectionSettings
 from scara_effmass.values import BoolArray, FloatArray, ForceBlock, Impact, true_runs
 
@@ -28,6 +49,12 @@ MIN_QUIET_SHARE = 0.6
 """Minimum share of quiet frames for a baseline if the recording ends before five frames are quiet."""
 QUIET_LEVEL = 0.75
 """Maximum median of the quiet frame that ends a segment, as a share of the threshold; above, it is a noisy load."""
+REST_TIME = 0.5
+"""A load that is at rest for this time [s] becomes the baseline: its medians vary by at most REST_SHARE of the
+threshold. A hand is never that still."""
+REST_SHARE = 0.1
+RELEASED_TIME = 0.1
+"""Time at the earlier baseline [s] that ends a load."""
 RESPONSE_TIME = 0.5
 """A tensile pulse within this time after a contact [s] is a response of sensor, converter or structure to it."""
 
@@ -98,24 +125,25 @@ class Detector:
     """Detects impacts in the blocks of one channel, of any sample rate and block length.
 
     An impact is returned once a quiet frame has followed it; in a train of contacts, that may take `settings.longest`.
+    If the force stays, the impact is returned when the force is released, when it has been steady (for
+    `settings.longest`, or at rest for REST_TIME) and thus becomes the baseline, or MAX_HELD_S after the onset. It then
+    states the `held_force`. Contacts on a baseline that an earlier contact left state that `load_force`.
 
     Counted from the beginning: `dropouts`; `glitches` (single samples); `sustained_contacts`, longer than
     `settings.longest`; and `tensile_pulses`, which would be impacts if the sign of the force were inverted, and hint at
     a wrong `sensor.invert`. Pulses that follow a contact do not count, because AC coupling and ringing respond to
     compression with tension. Force below the baseline for BASELINE_FRAMES frames does not count either: it is a load
-    that was removed.
-
-    A sustained contact ends when the force is released, or when it has been steady for `settings.longest`; that load
-    then becomes the baseline. Until then, swings of the load are neither impacts nor further sustained contacts.
+    that was removed. `left_out` counts, with its peak, all force above the threshold that is in no impact.
 
     Detectors that start at different samples of a stream return the same impacts to the last bit once they have
     settled: after BASELINE_FRAMES + 3 consecutive quiet frames (0.4 s at 12.8 kS/s) and `settings.rebound_time`
-    without a contact.
+    without a contact; only `load_force` needs the whole stream.
     """
 
     def __init__(self, settings: DetectionSettings) -> None:
         self._settings = settings
         self._rate = math.nan
+        self.left_out = LeftOuts()
         self.dropouts = self.glitches = self.sustained_contacts = self.tensile_pulses = 0
         self.settled = False
         """Whether the baseline is known at the latest sample; only then are impacts detected."""
@@ -131,6 +159,9 @@ class Detector:
         for part in finite_parts(block):
             impacts += self._join(part)
             self._buffer.append(part)
+            if part.tare_stamp_ns != self._tare_stamp_ns:
+                self._tare_stamp_ns = part.tare_stamp_ns
+                self._level.tare()
             impacts += self._advance()
             self.settled = self._settled
         return impacts
@@ -150,7 +181,13 @@ class Detector:
         self._settled = False
         self._end = self._last = -math.inf  # of the latest impact, and of the latest contact
         self._rebound = 0
-        self._frame_size, self._load_frames = MIN_FRAME_SAMPLES, BASELINE_FRAMES
+        self._frame_size = MIN_FRAME_SAMPLES
+        self._load_frames = self._rest_frames = self._released_frames = BASELINE_FRAMES
+        self._unloaded: Baseline | None = None  # the baseline before the load that the present one includes
+        self._level = LoadLevel(self._settings.threshold)
+        self._held: HeldContact | None = None
+        self._slow: HeldContact | None = None
+        self._tare_stamp_ns = 0
         self._begin(0)
 
     def _begin(self, first_sample: int) -> None:
@@ -164,6 +201,9 @@ class Detector:
         self._held_from = first_sample
         self._first_search = True
         self._is_loaded = False  # whether a sustained contact may still continue
+        self._later_load = False  # whether it goes on after its report
+        self._frames_at_zero = 0
+        self._unseen = math.inf, -math.inf, 0  # lowest level, largest force and its time before the first baseline
 
     def _join(self, block: ForceBlock) -> list[Impact]:
         """Prepare for `block`; if it does not continue the samples before, return the impacts that end before it."""
@@ -179,7 +219,14 @@ class Detector:
         # The size is doubled in whole steps, so that sample rates that differ by a clock error have the same frames.
         doublings = max(0, round(math.log2(FRAME_TIME * self._rate / MIN_FRAME_SAMPLES)))
         self._frame_size = MIN_FRAME_SAMPLES << doublings
-        self._load_frames = max(BASELINE_FRAMES, math.ceil(self._settings.longest * self._rate / self._frame_size))
+        self._load_frames, self._rest_frames, self._released_frames = (
+            max(least, round(seconds * self._rate / self._frame_size))
+            for seconds, least in (
+                (self._settings.longest, BASELINE_FRAMES),
+                (REST_TIME, BASELINE_FRAMES),
+                (RELEASED_TIME, 1),
+            )
+        )
         self._begin(block.first_sample)
         return impacts
 
@@ -192,60 +239,167 @@ class Detector:
         while (stop := self._frame_end(self._processed)) <= self._buffer.end:  # the first frame may be incomplete
             frame = Frame(self._buffer.samples(self._processed, stop))
             self._processed = stop
-            if self._settled:
-                impacts += self._process(frame)
-            else:
-                self._search_baseline(frame)
+            impacts += self._process(frame) if self._settled else self._search_baseline(frame)
         needed = self._processed - self._frame_size if self._settled else self._held_from - self._frame_size
         self._buffer.discard_before(needed if self._segment_start is None else min(needed, self._segment_start))
         return impacts
 
-    def _search_baseline(self, frame: Frame) -> None:
-        """Search for a baseline; once it is known, process the held samples again."""
+    def _search_baseline(self, frame: Frame) -> list[Impact]:
+        """Search for a baseline; once it is known, process the held samples again. Return a contact that ends."""
         if frame.is_present:
             self._candidates.append(frame)
+        if self._held is not None and self._is_released(frame, self._unloaded or self._baseline):
+            return self._settle_again()
         hold = BASELINE_FRAMES * self._frame_size
         if self._first_search:
             hold = max(round(self._settings.longest * self._rate), 2 * hold)
         recent = list(self._candidates)[-BASELINE_FRAMES:]
         is_steady = len(recent) == BASELINE_FRAMES and self._baseline.is_steady(recent)
+        impacts: list[Impact] = []
         if is_steady and not self._is_moving_load(recent):
-            self._adopt(recent)
+            impacts = self._adopt(recent)
         if not self._settled and self._processed - self._held_from >= hold:
-            self._held_from = self._frame_end(self._held_from)
+            impacts = self._discard(self._frame_end(self._held_from))
+        return impacts
+
+    def _is_released(self, frame: Frame, unloaded: Baseline) -> bool:
+        """Return whether the last frames, and now `frame`, are at the baseline before a load."""
+        low = unloaded.force + QUIET_LEVEL * unloaded.threshold
+        is_low = frame.is_present and float(np.median(frame.samples)) <= low
+        self._frames_at_zero = self._frames_at_zero + 1 if is_low and unloaded.is_quiet(frame) else 0
+        return self._frames_at_zero == self._released_frames
+
+    def _settle_again(self) -> list[Impact]:
+        """Return the contact that was released, and continue with the baseline before it."""
+        impacts = self._discard(max(self._processed - self._released_frames * self._frame_size, self._held_from))
+        self._settled = True
+        self._counted = max(self._counted, self._held_from + 1)
+        return impacts + self._unload(self._held_from)
+
+    def _release(self) -> list[Impact]:
+        """Return the contacts before the release of the load, and continue with the baseline before it."""
+        start = self._segment_start
+        released = max(self._processed - self._released_frames * self._frame_size, self._buffer.first, start or 0)
+        impacts: list[Impact] = []
+        if start is not None and start < released:
+            if self._held is not None:
+                self._held.extend(self._buffer.samples(start, released), start)
+            impacts = self._report(self._classify(start, released), start)
+        return impacts + self._unload(released)
+
+    def _unload(self, index: int) -> list[Impact]:
+        """Continue at sample `index` without the load; return the contact that left it."""
+        self._processed, self._segment_start, self._frames_at_zero = index, None, 0
+        if self._unloaded is not None:
+            self._baseline, self._unloaded = self._unloaded, None
+        self._level.load = 0.0
+        return self._end_held()
+
+    def _discard(self, until: int) -> list[Impact]:
+        """Account for the samples before sample `until`, which no baseline reaches; return a contact that took long."""
+        first, samples = self._held_from, self._buffer.samples(self._held_from, until)
+        self._held_from = until
+        stamp_ns = self._stamp_ns(first)
+        if self._held is not None:
+            self._held.extend(samples, first)
+            return self._end_held() if self._held.takes_long(until) else []
+        peak = lasting_peak(samples)
+        if self._first_search:
+            low, high, high_ns = self._unseen
+            level = float(np.nanmedian(samples)) if np.isfinite(samples).any() else math.inf
+            self._unseen = (min(low, level), *((peak, stamp_ns) if peak > high else (high, high_ns)))
+        elif peak - self._baseline.force > self._baseline.threshold:
+            reason = LATER_LOAD if self._is_loaded else NO_BASELINE
+            self.left_out.add(reason, peak - self._baseline.force, stamp_ns, not self._later_load)
+            self._later_load = True
+        return []
+
+    def _end_held(self) -> list[Impact]:
+        """Return the contact that stayed, if there is one."""
+        held, self._held = self._held, None
+        self._later_load = False
+        return [] if held is None else [held.impact]
+
+    def _stamp_ns(self, index: int) -> int:
+        block = self._buffer.block_at(index)
+        return block.stamp_ns + round((index - block.first_sample) / block.sample_rate * 1e9)
 
     def _is_moving_load(self, recent: Iterable[Frame]) -> bool:
-        """Return whether `recent` is above the lost baseline and the force was not within a threshold for `longest`."""
+        """Return whether `recent` is above the lost baseline, and the force was neither steady nor at rest."""
         levels, recent_levels = ([f.median_and_deviation[0] for f in frames] for frames in (self._candidates, recent))
-        is_load = not self._first_search and np.median(recent_levels) > self._baseline.force + self._baseline.threshold
-        return bool(is_load and (len(levels) < self._load_frames or np.ptp(levels) > self._baseline.threshold))
+        threshold = self._baseline.threshold
+        if self._first_search or np.median(recent_levels) <= self._baseline.force + threshold:
+            return False
+        if self._is_at_rest():
+            return False
+        return bool(len(levels) < self._load_frames or np.ptp(levels) > threshold)
 
-    def _adopt(self, frames: Iterable[Frame]) -> None:
-        """Adopt `frames` as the baseline, unless the signal is stuck but was noisy before."""
+    def _is_at_rest(self) -> bool:
+        """Return whether the force hardly moves, as that of a thing that lies still."""
+        levels = [frame.median_and_deviation[0] for frame in list(self._candidates)[-self._rest_frames :]]
+        return len(levels) == self._rest_frames and bool(np.ptp(levels) <= REST_SHARE * self._baseline.threshold)
+
+    def _adopt(self, frames: Iterable[Frame]) -> list[Impact]:
+        """Adopt `frames` as the baseline, unless the signal is stuck but was noisy before.
+
+        Returns the contacts that end, or that turn out to be none of drift.
+        """
         baseline = Baseline(self._settings, frames)
-        if baseline.noise > 0.0 or self._baseline.flat_run > BASELINE_FRAMES * self._frame_size:
-            self._baseline = baseline
-            self._settled = True
-            self._processed = self._held_from
-            if not self._first_search:
-                self._counted = self._held_from + 1  # events that continue from before have been counted
+        if not (baseline.noise > 0.0 or self._baseline.flat_run > BASELINE_FRAMES * self._frame_size):
+            return []
+        if self._held is not None:
+            self._held.extend(self._buffer.samples(self._held_from, self._processed), self._held_from)
+        if self._first_search:
+            self._count_unseen(baseline.force, baseline.threshold)
+            # The recording may begin just before a load.
+            self._level.settle(min(self._unseen[0], *(frame.median_and_deviation[0] for frame in self._candidates)))
+        earlier, self._baseline = self._unloaded or self._baseline, baseline
+        self._settled = True
+        self._processed = self._held_from
+        if not self._first_search:
+            self._counted = self._held_from + 1  # events that continue from before have been counted
+        impacts: list[Impact] = []
+        if self._slow is not None and baseline.force <= self._level.zero + self._level.load + self._settings.threshold:
+            impacts.append(self._slow.impact)  # drift would not end at once: it was a press
+            self._slow = None
+        self._level.settle(baseline.force)
+        self._unloaded = earlier if self._level.load and not self._first_search else None
+        return impacts if self._level.load else self._end_held() + impacts
+
+    def _count_unseen(self, level: float, threshold: float) -> None:
+        """Count the force before the first baseline that was above `level` by more than `threshold` [N]."""
+        _, high, stamp_ns = self._unseen
+        if high - level > threshold:
+            self.left_out.add(NO_BASELINE, high - level, stamp_ns)
 
     def _lose_baseline(self, start: int) -> list[Impact]:
         """Report the segment from `start`, and search for another baseline from here on."""
         sustained = self.sustained_contacts
-        impacts = self._report(self._classify(start, self._processed), start)
+        contacts = self._classify(start, self._processed)
+        if self._held is not None and not contacts:  # its load goes
+            self._held.extend(self._buffer.samples(start, self._processed), start)
+        goes_on = bool(contacts) and self._goes_on(contacts[-1], start)
+        impacts = self._report(contacts, start, goes_on=goes_on)
         self._is_loaded |= self.sustained_contacts > sustained
         self._settled = self._first_search = False
         self._held_from = self._processed
         self._segment_start = None
+        self._frames_at_zero = 0
         return impacts
+
+    def _goes_on(self, contact: DetectedContact, start: int) -> bool:
+        """Return whether the last `contact` of the segment that starts at sample `start` has not ended yet."""
+        present = np.flatnonzero(np.isfinite(self._buffer.samples(start, self._processed)))
+        return bool(contact.last >= present[-1] - self._frame_size)  # a gap may follow
 
     def _process(self, frame: Frame) -> list[Impact]:
         """Process the next frame."""
+        if self._unloaded is not None and self._is_released(frame, self._unloaded):
+            return self._release()
         quiet = self._baseline.is_quiet(frame)
         if quiet and self._segment_start is None:
             self._update_baseline(frame)
-            return []
+            return self._follow_level(frame)
         level = float(np.median(frame.samples)) - self._baseline.force if frame.is_present else 0.0
         self._quiet_frames = 0
         if self._segment_start is None:
@@ -263,10 +417,15 @@ class Detector:
             return self._lose_baseline(self._segment_start)
         if frame.is_present:
             self._candidates.append(frame)
-        longest = self._settings.longest * self._buffer.block_at(self._segment_start).sample_rate
-        if self._processed - self._segment_start > longest + 2 * self._frame_size:
-            return self._split(self._segment_start)
-        return []
+        return self._end_long_segment(self._segment_start, level)
+
+    def _end_long_segment(self, start: int, level: float) -> list[Impact]:
+        """Report the segment from `start` on if it is long or its force, at `level` in the last frame, is at rest."""
+        rate, length = self._buffer.block_at(start).sample_rate, self._processed - start
+        margin = 3 * self._frame_size  # before the contact
+        if level > self._baseline.threshold and length > TRANSIENT_S * rate + margin and self._is_at_rest():
+            return self._lose_baseline(start)
+        return self._split(start) if length > self._settings.longest * rate + 2 * self._frame_size else []
 
     def _update_baseline(self, frame: Frame) -> None:
         """Add the quiet frame before `frame` to the baseline if both of its neighbours are quiet."""
@@ -276,12 +435,47 @@ class Detector:
             self._baseline = self._baseline.extended([self._previous_quiet])
         self._previous_quiet = frame
 
+    def _follow_level(self, frame: Frame) -> list[Impact]:
+        """Follow the force without contact, or the load that a contact left; notice slow changes, as the baseline does.
+
+        Returns the contact that left the load, if it ends or takes long.
+        """
+        first, level = self._processed - self._frame_size, 0.5 * (frame.low + frame.high)
+        change = self._level.follow(level, self._frame_size / self._rate)
+        if self._held is not None:
+            self._held.extend(self._buffer.samples(first, self._processed), first)
+            if not self._level.load or self._held.takes_long(self._processed):
+                return self._end_held()
+        if change < 0.0:
+            self.left_out.add(EARLIER_LOAD, -change, self._stamp_ns(first))
+        elif self._slow is not None:
+            self._slow.extend(self._buffer.samples(first, self._processed), first)
+            if change < RELEASE * self._settings.threshold:
+                self._end_slow()
+        elif change > self._settings.threshold:
+            self._slow = self._slow_change(first, change)
+        return []
+
+    def _slow_change(self, first: int, change: float) -> HeldContact:
+        """Return the slow change that is beyond the threshold at sample `first`."""
+        block, level = self._buffer.block_at(first), self._level.zero + self._level.load
+        rebound, end = self._rebound, self._end
+        press = DetectedContact(0, 0, 0.0, 0.0, change, 0.0, 0.0, complete=True)
+        impact = self._impact(press, first)._replace(baseline=level - block.tare)
+        self._rebound, self._end = rebound, end
+        return HeldContact(impact, level, RELEASE * self._settings.threshold, block.sample_rate)
+
+    def _end_slow(self) -> None:
+        """Count a slow change that is over, or whose end the signal does not show."""
+        if self._slow is not None:
+            self.left_out.add(SLOW_CHANGE, self._slow.largest, self._slow.impact.stamp_ns)
+            self._slow = None
+
     def _split(self, start: int) -> list[Impact]:
         """Report the finished contacts of a segment that is too long, and continue with the unfinished one."""
         contacts = self._classify(start, self._processed)
-        present = np.flatnonzero(np.isfinite(self._buffer.samples(start, self._processed)))
-        at_end = bool(contacts) and contacts[-1].last >= present[-1] - self._frame_size  # a gap may follow
-        if not at_end or self._is_sustained(contacts[-1], start):
+        goes_on = bool(contacts) and self._goes_on(contacts[-1], start)
+        if not goes_on or self._is_sustained(contacts[-1], start):
             return self._lose_baseline(start)
         unfinished, finished = contacts[-1], contacts[:-1]
         after_finished = finished[-1].last + 1 if finished else 0
@@ -297,56 +491,100 @@ class Detector:
             frames = [*self._candidates, *([Frame(rest)] if rest.size >= MIN_FRAME_SAMPLES else [])]
             share = MIN_QUIET_SHARE if self._first_search else 1.0
             if frames and self._baseline.is_steady(frames, share) and not self._is_moving_load(frames):
-                self._adopt(frames)
+                impacts += self._adopt(frames)
                 impacts += self._advance()
         if self._settled:
             start = self._segment_start
             if start is None:
                 start = max(self._processed - self._frame_size, buffer.first)
             impacts += self._report(self._classify(start, buffer.end), start)
+        elif buffer.end > self._held_from:
+            impacts += self._discard(buffer.end)
+            if self._first_search:
+                self._count_unseen(self._unseen[0], self._settings.threshold)
+        impacts += self._end_held()
+        self._end_slow()
         return impacts
 
     def _classify(self, start: int, stop: int) -> list[DetectedContact]:
-        """Return the contacts in the samples [start, stop), and count new dropouts, glitches and tensile pulses."""
-        buffer = self._buffer
-        gap = max(round(GAP_TIME * buffer.block_at(start).sample_rate), MIN_GAP_SAMPLES)
+        """Return the contacts in the samples [start, stop), and count what else is new in them."""
+        buffer, rate = self._buffer, self._buffer.block_at(start).sample_rate
         samples, saturated = buffer.samples(start, stop), buffer.saturated(start, stop)
-        longest = round(self._settings.longest * buffer.block_at(start).sample_rate)
-        segment = classify(samples, saturated, self._baseline, gap, self._frame_size, longest)
+        segment = classify(
+            samples,
+            saturated,
+            self._baseline,
+            gap=max(round(GAP_TIME * rate), MIN_GAP_SAMPLES),
+            margin=self._frame_size,
+            longest=round(self._settings.longest * rate),
+            transient=round(TRANSIENT_S * rate),
+        )
         self.dropouts += int(np.count_nonzero(segment.dropouts + start >= self._counted))
         self.glitches += int(np.count_nonzero(segment.glitches + start >= self._counted))
+        self._count_tension(segment, start)
+        for reason in {remainder.reason for remainder in segment.remainders}:
+            new = [item for item in segment.remainders if item.reason == reason and start + item.first >= self._counted]
+            for number, remainder in enumerate(new):
+                is_event = number == 0 or reason != NOISE  # ringing is one event
+                self.left_out.add(reason, remainder.peak, self._stamp_ns(start + remainder.first), is_event)
+        self._counted = stop
+        return segment.contacts
+
+    def _count_tension(self, segment: Segment, start: int) -> None:
+        """Count the tensile pulses of the segment that starts at sample `start`, which answer no contact."""
         for pulse in segment.tensile_pulses:
             earlier = (start + contact.last for contact in segment.contacts if contact.first < pulse.first)
             delay = start + pulse.first - max(earlier, default=self._last)
-            is_response = delay <= RESPONSE_TIME * buffer.block_at(start + pulse.first).sample_rate
-            is_new = start + pulse.last >= self._counted
-            is_impact = pulse.complete and not self._is_sustained(pulse, start)
-            self.tensile_pulses += is_impact and is_new and not is_response
-        self._counted = stop
-        return segment.contacts
+            is_response = delay <= RESPONSE_TIME * self._buffer.block_at(start + pulse.first).sample_rate
+            below_zero = pulse.peak - max(self._baseline.force - self._level.zero, 0.0)  # the rest is a load that goes
+            if is_response or start + pulse.last < self._counted:
+                continue
+            self.tensile_pulses += pulse.complete and not self._is_sustained(pulse, start)
+            if start + pulse.first >= self._counted and below_zero > self._baseline.threshold:
+                self.left_out.add(TENSION, below_zero, self._stamp_ns(start + pulse.first))
 
     def _is_sustained(self, contact: DetectedContact, start: int) -> bool:
         """Return whether `contact` of the segment that starts at sample `start` is too long for an impact."""
         sample_rate = self._buffer.block_at(start + contact.first).sample_rate
         return contact.last - contact.first >= round(self._settings.longest * sample_rate)
 
-    def _report(self, contacts: Iterable[DetectedContact], start: int) -> list[Impact]:
-        """Return the impacts among `contacts` of the segment from sample `start` on; count sustained contacts."""
-        impacts: list[Impact] = []
-        for contact in contacts:
-            if self._is_sustained(contact, start):
-                self.sustained_contacts += not self._is_loaded
-            elif contact.complete or not self._is_loaded:  # otherwise it is the end of a sustained contact
+    def _report(self, contacts: Sequence[DetectedContact], start: int, *, goes_on: bool = False) -> list[Impact]:
+        """Return the impacts among `contacts` of the segment from sample `start` on; count sustained contacts.
+
+        If the last contact `goes_on`, it is returned at its end.
+        """
+        impacts = self._end_held() if contacts else []
+        for number, contact in enumerate(contacts, start=1):
+            is_sustained = self._is_sustained(contact, start)
+            if self._is_loaded and (is_sustained or not contact.complete):  # it continues a sustained contact
+                self._count_later_load(contact, start)
+            elif goes_on and number == len(contacts):
+                self.sustained_contacts += 1
+                self._hold(contact, start)
+            else:
+                self.sustained_contacts += is_sustained
                 impacts.append(self._impact(contact, start))
             self._last = start + contact.last
         return impacts
+
+    def _count_later_load(self, contact: DetectedContact, start: int) -> None:
+        peak = max(contact.peak, contact.held)
+        self.left_out.add(LATER_LOAD, peak, self._stamp_ns(start + contact.first), not self._later_load)
+        self._later_load = True
+
+    def _hold(self, contact: DetectedContact, start: int) -> None:
+        """Begin a contact whose force stays, which the samples from here on extend."""
+        rate = self._buffer.block_at(start + contact.first).sample_rate
+        impact = self._impact(contact._replace(end=contact.last + 1.0), start)
+        self._held = HeldContact(impact, self._baseline.force, RELEASE * self._baseline.threshold, rate)
 
     def _impact(self, contact: DetectedContact, start: int) -> Impact:
         block = self._buffer.block_at(start + math.floor(contact.onset))
         onset = start + contact.onset
         is_rebound = onset - self._end <= self._settings.rebound_time * block.sample_rate
-        self._rebound = self._rebound + 1 if is_rebound else 0
-        self._end = start + contact.end
+        rebound = self._rebound + 1 if is_rebound else 0
+        if not self._is_sustained(contact, start):
+            self._rebound, self._end = rebound, start + contact.end
         samples_into_block = (start - block.first_sample) + contact.onset
         return Impact(
             stamp_ns=block.stamp_ns + round(samples_into_block / block.sample_rate * 1e9),
@@ -358,10 +596,12 @@ class Detector:
             onset_sample=onset,
             clipped=contact.clipped,
             incomplete=not contact.complete,
-            rebound=self._rebound,
+            rebound=rebound,
             baseline=self._baseline.force - block.tare,
             noise=self._baseline.noise,
             clock_residual=block.clock_residual,
             source=block.source,
             simulated=block.simulated,
+            held_force=contact.held,
+            load_force=self._level.load,
         )

@@ -25,6 +25,8 @@ MAX_CLOCK_RESIDUAL_S = 60.0
 """Maximum uncertainty of a stamp [s]; beyond it, no contact state can be matched."""
 MIN_NORMAL_COMPONENT = 0.1
 """Minimum component of the velocity, or of the sensor's axis, along the normal of the plate."""
+REBOUND = "rebound of an earlier impact"
+PRESS = "press: the force rose slowly, or stayed near its peak"
 MAX_LAGS = 1000
 """Maximum number of lags that are kept, each for force blocks and for impacts."""
 
@@ -147,11 +149,11 @@ class ForceClock:
             self._block_lags.append(received_ns - block.stamp_ns - block.force.size / block.sample_rate * NANOSECONDS)
 
     def add_impact(self, impact: Impact, received_ns: int) -> None:
-        """Add the lag of an impact, which may arrive up to `settings.impact_delay` after its onset."""
+        """Add the lag of an impact, which may arrive up to `settings.impact_delay` after `Impact.reported_ns`."""
         stamps = [*self._impact_stamps, impact.stamp_ns]
         self._impact_stamps = [min(stamps), max(stamps)]
         if received_ns:
-            self._impact_lags.append(received_ns - impact.stamp_ns)
+            self._impact_lags.append(received_ns - impact.reported_ns)
 
     def problem(self, states: StateHistory) -> str:
         """Return the problem with the clocks in one sentence; empty if there is none."""
@@ -258,6 +260,7 @@ class ImpactMatcher:
                 excluded=excluded,
                 reason=rejection.reason,
                 detail=rejection.detail,
+                held_force=impact.held_force and impact.held_force + impact.load_force,
             )
         )
 
@@ -300,7 +303,7 @@ class ImpactMatcher:
         lag_ns = self.states.lag_at(onset_ns, deadline_ns)
         if lag_ns is None:
             return Rejection("no contact state")
-        offset_ns = received_ns - onset_ns - lag_ns
+        offset_ns = received_ns - impact.reported_ns - lag_ns
         if deadline_ns and not -self._max_wait_ns <= offset_ns <= self._max_delay_ns:
             reason = "force and contact states are seconds apart: their clocks differ"
             return Rejection(reason, f"by {abs(offset_ns) / NANOSECONDS:.2f} s")
@@ -324,14 +327,13 @@ def _unit(vector: Vector3) -> Vector3 | None:
 
 def _invalid_reason(impact: Impact) -> str:
     """Return why `impact` is not a valid measurement of a collision; empty if it is."""
-    if impact.clipped:
-        return "clipped: the force reached the end of the measuring range"
-    if impact.incomplete:
-        return "incomplete: samples were lost during it"
-    if impact.rebound > 0:
-        return "rebound of an earlier impact"
-    if not MIN_PEAK_FORCE <= impact.peak_force < math.inf:
-        return "no positive peak force"
-    if impact.stamp_ns <= 0 or not abs(impact.clock_residual) <= MAX_CLOCK_RESIDUAL_S:
-        return "no usable stamp"
-    return ""
+    has_stamp = impact.stamp_ns > 0 and abs(impact.clock_residual) <= MAX_CLOCK_RESIDUAL_S
+    reasons = {
+        "clipped: the force reached the end of the measuring range": impact.clipped,
+        "incomplete: samples were lost during it": impact.incomplete,
+        REBOUND: impact.rebound > 0,
+        PRESS: impact.is_press,
+        "no positive peak force": not MIN_PEAK_FORCE <= impact.peak_force < math.inf,
+        "no usable stamp": not has_stamp,
+    }
+    return next((reason for reason, applies in reasons.items() if applies), "")

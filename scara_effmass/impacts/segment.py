@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import sys
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterable
 from functools import cached_property
 from typing import NamedTuple
@@ -52,8 +53,15 @@ _GLITCH_SHARE = 0.25
 _MIN_REST_SAMPLES, _MIN_REST_GAPS, _REST_SPREAD = 8, 5, 2.0
 """Between two contacts, the force is at rest if it lasts for this many samples and minimum gaps, and if its median
 and interquartile range are at most this multiple of the noise."""
-_RELEASE = 0.5
+RELEASE = 0.5
 """A contact ends below this share of the threshold."""
+_PRESS_SHARE = 0.2
+"""A contact that stays is a press if it reaches PEAK_SHARE of its peak later than this share of the transient time, or
+if it does not fall below that again in the transient time."""
+SINGLE_SAMPLE = "single samples"
+STUCK = "signal stuck or dropped out"
+NO_CONTACT = "too short for a contact, or no compression in total"
+NOISE = "noise or ringing beside a contact"
 
 
 class Frame:
@@ -202,8 +210,18 @@ class DetectedContact(NamedTuple):
     compression_area: float
     """[N samples] above baseline, from the onset to the peak"""
     complete: bool
-    """Whether both flanks were recorded."""
+    """Whether the rise and all samples of the transient were recorded, and of a contact that ends in it, the fall."""
     clipped: bool = False
+    held: float = 0.0
+    """[N] largest force after the transient, 0 if the contact ended in it"""
+
+
+class Remainder(NamedTuple):
+    """Force above the threshold outside of all contacts: first sample, largest force [N] above baseline, and reason."""
+
+    first: int
+    peak: float
+    reason: str
 
 
 class Segment(NamedTuple):
@@ -214,16 +232,47 @@ class Segment(NamedTuple):
     """Contacts that the force has if its sign is inverted."""
     dropouts: NDArray[np.intp]
     glitches: NDArray[np.intp]
+    remainders: list[Remainder]
+
+
+Span = tuple[int, int]
+"""First and last sample of a contact."""
+
+
+class _Durations(NamedTuple):
+    """Durations in samples, see `classify`."""
+
+    gap: int
+    margin: int
+    longest: int
+    transient: int
+
+
+class _Signal(NamedTuple):
+    """Force (n,) [N] above baseline, masks (n,) of the valid and the saturated samples, and contact threshold [N]."""
+
+    force: FloatArray
+    valid: BoolArray
+    saturated: BoolArray
+    threshold: float
 
 
 def classify(
-    samples: FloatArray, saturated: BoolArray, baseline: Baseline, gap: int, margin: int, longest: int = sys.maxsize
+    samples: FloatArray,
+    saturated: BoolArray,
+    baseline: Baseline,
+    gap: int,
+    margin: int,
+    longest: int = sys.maxsize,
+    transient: int = sys.maxsize,
 ) -> Segment:
     """Return the content of `samples` (n,) [N]; missing samples are NaN.
 
     Contacts are separated by at least `gap` samples without force. A contact is complete only if the `margin` samples
-    before it are at the baseline. A load that swings for `longest` samples is one contact.
+    before it are at the baseline. A load that swings for `longest` samples is one contact. The peak of a contact is
+    that of its first `transient` samples.
     """
+    durations = _Durations(gap, margin, longest, transient)
     force = samples - baseline.force
     dropouts, dropout_ends = flat_runs(samples, baseline.flat_run, baseline.zero_run, saturated)
     valid = np.isfinite(samples)
@@ -237,14 +286,34 @@ def classify(
     glitches = glitches[valid[glitches - 1] & valid[glitches] & valid[glitches + 1]]
     force[glitches] = 0.5 * (force[glitches - 1] + force[glitches + 1])
 
-    contacts = _contacts(force, valid, saturated, threshold, gap, margin)
-    if contacts and contacts[-1].last - contacts[0].first >= longest:
-        contacts = _join_loads(contacts, force, baseline, longest, max(_MIN_REST_SAMPLES, _MIN_REST_GAPS * gap))
+    contacts, others = _contacts(_Signal(force, valid, saturated, threshold), baseline, durations)
     tensile_pulses: list[DetectedContact] = []
     if force.min() < -baseline.threshold:
         threshold = _threshold(-force, valid, baseline, gap)
-        tensile_pulses = _contacts(-force, valid, saturated, threshold, gap, margin)
-    return Segment(contacts, tensile_pulses, dropouts, glitches)
+        whole = durations._replace(longest=sys.maxsize, transient=sys.maxsize)
+        tensile_pulses, _ = _contacts(_Signal(-force, valid, saturated, threshold), baseline, whole)
+    marks = [(dropouts, dropout_ends, STUCK), (glitches, glitches + 1, SINGLE_SAMPLE)]
+    spans = [(first, last + 1, NO_CONTACT) for first, last in others]
+    for starts, stops, reason in marks:
+        spans += [(start, stop, reason) for start, stop in zip(starts.tolist(), stops.tolist(), strict=True)]
+    remainders = _remainders(samples - baseline.force, baseline.threshold, contacts, spans)
+    return Segment(contacts, tensile_pulses, dropouts, glitches, remainders)
+
+
+def _remainders(
+    force: FloatArray, threshold: float, contacts: Iterable[DetectedContact], spans: Iterable[tuple[int, int, str]]
+) -> list[Remainder]:
+    """Return the force (n,) [N] above `threshold` outside of `contacts`: `spans` with reasons, and the rest."""
+    rest = np.where(np.isfinite(force), force, 0.0)
+    remainders = []
+    for start, stop, reason in spans:
+        remainders.append(Remainder(int(start), float(rest[start:stop].max()), reason))
+        rest[start:stop] = 0.0
+    for contact in contacts:
+        rest[contact.first : contact.last + 1] = 0.0
+    if (peak := float(rest.max(initial=0.0))) > threshold:
+        remainders.append(Remainder(int(rest.argmax()), peak, NOISE))
+    return [remainder for remainder in remainders if remainder.peak > threshold]
 
 
 def flat_runs(
@@ -283,7 +352,7 @@ def separate(force: FloatArray, valid: BoolArray, threshold: float, gap: int) ->
     A contact exceeds `threshold` at least once, and ends when the force is below half of it for `gap` samples; samples
     that are not `valid` (n,) do not count.
     """
-    above = np.flatnonzero((force > _RELEASE * threshold) & valid)
+    above = np.flatnonzero((force > RELEASE * threshold) & valid)
     if not above.size:
         return []
     between = np.diff(np.cumsum(valid)[above]) - 1
@@ -350,18 +419,31 @@ def compression_area(force: FloatArray, onset: float, index: int) -> float:
     return float(inside.sum() - 0.5 * (inside[0] + inside[-1]) + ends + (inside[1] - inside[0]) / 12.0)
 
 
-def measure(force: FloatArray, first: int, last: int, earliest: int, latest: int, *, intact: bool) -> DetectedContact:
+def measure(
+    force: FloatArray,
+    first: int,
+    last: int,
+    earliest: int,
+    latest: int,
+    *,
+    intact: bool,
+    transient: int = sys.maxsize,
+) -> DetectedContact:
     """Return the contact from sample `first` to `last` of `force` (n,) [N] above baseline.
 
-    Samples before `earliest` or after `latest` belong to other contacts. The peak is interpolated only if the contact
-    is `intact`: no sample is clipped or missing.
+    Samples before `earliest` or after `latest` belong to other contacts. The peak is that of the first `transient`
+    samples. It is interpolated only if the contact is `intact`: no sample is clipped or missing.
     """
     part = force[earliest : latest + 1]
     begin, stop = first - earliest, last - earliest
-    index = begin + int(np.argmax(part[begin : stop + 1]))
+    later = part[begin + transient + 1 : stop + 1]
+    held = float(later.max()) if later.size else 0.0
+    index = begin + int(np.argmax(part[begin : stop + 1 - later.size]))
     peak = interpolated_peak(part, index) if intact else float(part[index])
     start, rise_recorded = flank_onset(part, begin, peak)
-    reversed_end, fall_recorded = flank_onset(part[::-1], part.size - 1 - stop, peak)
+    reversed_end, fall_recorded = flank_onset(part[::-1], part.size - 1 - stop, held or peak)
+    is_high = part[begin : stop + 1 - later.size] > PEAK_SHARE * peak
+    is_slow = int(np.argmax(is_high)) > _PRESS_SHARE * transient or bool(is_high[index - begin :].all())
     end = part.size - 1 - reversed_end
     inside = slice(math.ceil(start), math.floor(end) + 1)
     within = part[inside]
@@ -374,60 +456,74 @@ def measure(force: FloatArray, first: int, last: int, earliest: int, latest: int
         end=earliest + end,
         peak=peak,
         area=area,
-        compression_area=compression_area(part[: stop + 1], max(start, 0.0), index),
-        complete=rise_recorded and fall_recorded,
+        compression_area=0.0 if later.size and is_slow else compression_area(part[: stop + 1], max(start, 0.0), index),
+        complete=rise_recorded and (fall_recorded or later.size > 0),
+        held=held,
     )
 
 
-def _contacts(
-    force: FloatArray, valid: BoolArray, saturated: BoolArray, threshold: float, gap: int, margin: int
-) -> list[DetectedContact]:
-    """Return the contacts in `force` (n,) [N] above baseline."""
-    spans = separate(force, valid, threshold, gap)
+def _contacts(signal: _Signal, baseline: Baseline, durations: _Durations) -> tuple[list[DetectedContact], list[Span]]:
+    """Return the contacts in `signal`, and first and last sample of what is above the threshold but no contact."""
     contacts: list[DetectedContact] = []
-    for number, (first, last) in enumerate(spans):
-        earliest = spans[number - 1][1] + 1 if number else 0
-        latest = spans[number + 1][0] - 1 if number + 1 < len(spans) else force.size - 1
-        clipped = bool(saturated[first : last + 1].any())
-        top = first + int(np.argmax(force[first : last + 1]))
-        intact = not clipped and bool(valid[first : last + 1].all() and valid[max(top - 1, 0) : top + 2].all())
-        contact = measure(force, first, last, earliest, latest, intact=intact)
-        before = force[max(earliest, first - margin) : first]
-        complete = (
-            contact.complete
-            and first > 0
-            and last < force.size - 1
-            and bool(valid[max(math.floor(contact.onset), 0) : math.ceil(contact.end) + 1].all())
-            and (before.size < MIN_INCOMPLETE_SAMPLES or abs(float(np.median(before))) <= threshold)
-            # Force below the baseline shows a load that was released since; after another contact it may be ringing.
-            and bool(number or np.count_nonzero(before < -threshold) < MIN_INCOMPLETE_SAMPLES)
-        )
+    others: list[tuple[int, int]] = []
+    spans = separate(signal.force, signal.valid, signal.threshold, durations.gap)
+    for span in _loads(spans, signal.force, baseline, durations):
+        contact = _contact(signal, span, spans, durations)
+        present = np.count_nonzero(signal.valid[span[0] : span[1] + 1])
         # In total, a contact compresses the sensor; noise does not.
-        if contact.area > 0.0 and (complete or np.count_nonzero(valid[first : last + 1]) >= MIN_INCOMPLETE_SAMPLES):
-            contacts.append(contact._replace(complete=complete, clipped=clipped))
-    return contacts
+        if contact.area > 0.0 and (contact.complete or present >= MIN_INCOMPLETE_SAMPLES):
+            contacts.append(contact)
+        else:
+            others.append(span)
+    return contacts, others
 
 
-def _join_loads(
-    contacts: list[DetectedContact], force: FloatArray, baseline: Baseline, longest: int, min_rest: int
-) -> list[DetectedContact]:
-    """Return `contacts`, in which those during which the `force` (n,) [N] swings about a load are joined.
+def _contact(signal: _Signal, span: Span, spans: list[Span], durations: _Durations) -> DetectedContact:
+    """Return the contact in `span`; others of `spans` bound its flanks."""
+    force, valid, saturated, threshold = signal
+    first, last = span
+    before, after = bisect_left(spans, (first, first)), bisect_right(spans, (last, last))
+    earliest = spans[before - 1][1] + 1 if before else 0
+    latest = spans[after][0] - 1 if after < len(spans) else force.size - 1
+    clipped = bool(saturated[first : last + 1].any())
+    top = first + int(np.argmax(force[first : last + 1]))
+    intact = not clipped and bool(valid[first : last + 1].all() and valid[max(top - 1, 0) : top + 2].all())
+    contact = measure(force, first, last, earliest, latest, intact=intact, transient=durations.transient)
+    rest = force[max(earliest, first - durations.margin) : first]
+    end = first + durations.transient if contact.held else math.ceil(contact.end)
+    complete = (
+        contact.complete
+        and first > 0
+        and (last < force.size - 1 or contact.held > 0.0)
+        and bool(valid[max(math.floor(contact.onset), 0) : end + 1].all())
+        and (rest.size < MIN_INCOMPLETE_SAMPLES or abs(float(np.median(rest))) <= threshold)
+        # Force below the baseline shows a load that was released since; after another contact it may be ringing.
+        and bool(before or np.count_nonzero(rest < -threshold) < MIN_INCOMPLETE_SAMPLES)
+    )
+    return contact._replace(complete=complete, clipped=clipped)
 
-    The force must swing for `longest` samples, without being at rest for `min_rest` samples.
+
+def _loads(spans: list[Span], force: FloatArray, baseline: Baseline, durations: _Durations) -> list[Span]:
+    """Return `spans`, in which those during which the `force` (n,) [N] swings about a load are joined.
+
+    The force must swing for `durations.longest` samples, without being at rest between two contacts.
     """
-    chains = [contacts[:1]]
-    for contact in contacts[1:]:
-        between = force[chains[-1][-1].last + 1 : contact.first]
+    if not spans or spans[-1][1] - spans[0][0] < durations.longest:
+        return spans
+    min_rest = max(_MIN_REST_SAMPLES, _MIN_REST_GAPS * durations.gap)
+    chains = [spans[:1]]
+    for span in spans[1:]:
+        between = force[chains[-1][-1][1] + 1 : span[0]]
         low, level, high = np.percentile(between, (25.0, 50.0, 75.0))
         if between.size >= min_rest and max(abs(level), high - low) <= _REST_SPREAD * baseline.noise:
-            chains.append([contact])
+            chains.append([span])
         else:
-            chains[-1].append(contact)
-    joined: list[DetectedContact] = []
+            chains[-1].append(span)
+    joined: list[Span] = []
     for chain in chains:
-        first, last = chain[0].first, chain[-1].last
-        is_load = last - first >= longest and float(force[first : last + 1].mean()) > _RELEASE * baseline.threshold
-        joined += [chain[0]._replace(last=last, end=chain[-1].end, complete=False)] if is_load else chain
+        first, last = chain[0][0], chain[-1][1]
+        is_load = last - first >= durations.longest and force[first : last + 1].mean() > RELEASE * baseline.threshold
+        joined += [(first, last)] if is_load else chain
     return joined
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from scara_effmass.impacts.agreement import (
     MIN_RELATIVE_RANGE,
+    NO_REGION,
     Agreement,
     Comparison,
     MassFit,
@@ -20,12 +21,13 @@ from scara_effmass.impacts.agreement import (
     model_fit,
     predict,
     region_force,
+    static_force,
 )
 from scara_effmass.impacts.criterion import Series, criterion_hash, decide
-from scara_effmass.impacts.impact_matcher import ImpactMatcher, MatchedImpact
+from scara_effmass.impacts.impact_matcher import PRESS, ImpactMatcher, MatchedImpact
 from scara_effmass.impacts.state_history import MODELS, ClockOffset, Rejection, clock_offset
 from scara_effmass.iso15066 import limits_for
-from scara_effmass.settings import MassModel, ValidatorSettings
+from scara_effmass.settings import ContactType, MassModel, ValidatorSettings
 from scara_effmass.values import (
     ContactAssessment,
     Decision,
@@ -69,6 +71,18 @@ class _Summary(NamedTuple):
     clock: ClockOffset
 
 
+class HeldForces(NamedTuple):
+    """Contacts whose force stayed, in the series or left out: how many, how many exceed a limit, and the worst one.
+
+    What stayed is compared with the quasi-static limits, as measured. The first 0.5 s of a press, which is no impact,
+    are compared with the limits for impacts, as measured.
+    """
+
+    count: int
+    exceedances: int
+    worst: RegionForce
+
+
 class Result(NamedTuple):
     """Result of the whole series; `seen` = number of `impacts` + sums of `excluded` and `unpaired` + `waiting`.
 
@@ -76,7 +90,8 @@ class Result(NamedTuple):
     iso, and the selected one. Predictions in `impacts` use the stiffness of the whole series. `excluded` and `unpaired`
     count the impacts in `refused` by reason. `clock` and `force_sign` describe a problem with the clocks or the sign of
     the force; empty: none. `clock_offset` is that of the impacts in the series. `gain_tolerance` is that of the sensor.
-    `exceedances` counts the impacts whose force on a body region is above its limit.
+    `exceedances` counts the impacts whose force on a body region is above its limit, and the left out contacts whose
+    `held` force is.
     """
 
     model: str
@@ -96,6 +111,7 @@ class Result(NamedTuple):
     clock_offset: ClockOffset
     force_sign: str
     gain_tolerance: float
+    held: HeldForces
     exceedances: int
     accepted: bool
     decidable: bool
@@ -121,6 +137,8 @@ class Validator:
         """Begin a series. Raises LimitError for body regions without a limit."""
         self.settings = settings
         self._limits = limits_for(settings.limit_settings)
+        clamping = settings.limit_settings.model_copy(update={"contact": ContactType.QUASI_STATIC})
+        self._held_limits = limits_for(clamping)
         self.criterion_hash = criterion_hash(settings.criterion)
         self._model = settings.effective_mass_model.value
         self._models = (*MODELS, self._model) if self._model not in MODELS else MODELS
@@ -230,6 +248,7 @@ class Validator:
         """Return the current result of the series."""
         clock, force_sign = self._problems()
         summary = self._summary()
+        held, held_apart = self._held_forces()
         refused, statistics = self._matcher.refused, summary.statistics
         return Result(
             model=self._model,
@@ -249,7 +268,8 @@ class Validator:
             clock_offset=summary.clock,
             force_sign=force_sign,
             gain_tolerance=self._gain_tolerance,
-            exceedances=statistics.exceedances,
+            held=held,
+            exceedances=statistics.exceedances + held_apart,
             accepted=statistics.accepted,
             decidable=statistics.decidable,
             reason=statistics.reason,
@@ -294,9 +314,12 @@ class Validator:
             acceptance = decide(self.settings.criterion, series, sign_problem or clock_problem)
             models[model] = ModelResult(model, series.agreement, series.fit, {}, {}, *acceptance)
         selected = models[self._model]
-        forces = [self._region_force(match, selected.overall.stiffness) for match in self._matches]
+        above = [
+            self._region_force(match, selected.overall.stiffness).exceeds or self._held_force(match).exceeds
+            for match in self._matches
+        ]
         statistics = asdict(selected.overall) | selected.fit._asdict() | selected._asdict()
-        statistics |= {"clock_offset": clock.offset, "exceedances": sum(force.exceeds for force in forces)}
+        statistics |= {"clock_offset": clock.offset, "exceedances": sum(above)}
         names = [field.name for field in fields(SeriesStatistics)]
         return _Summary(models, SeriesStatistics(**{name: statistics[name] for name in names}), clock)
 
@@ -304,7 +327,27 @@ class Validator:
         """Return the force on the most endangered body region, for the worse of modelled and measured mass."""
         peak = match.impact.peak_force / match.force_share
         masses = (match.state.masses[self._model], match.measured_mass)
-        return region_force(self._limits, peak, masses, match.obstacle_mass, stiffness)
+        load = match.impact.load_force / match.force_share
+        return region_force(self._limits, peak, masses, match.obstacle_mass, stiffness, load)
+
+    def _held_force(self, match: MatchedImpact) -> RegionForce:
+        """Return the force that stayed after an impact, which acts on any body region as on the sensor."""
+        held, load = match.impact.held_force, match.impact.load_force
+        return static_force(self._held_limits, (held and held + load) / match.force_share)
+
+    def _held_forces(self) -> tuple[HeldForces, int]:
+        """Return all contacts whose force stayed, and how many of the refused ones exceed a limit."""
+        matched = [self._held_force(match) for match in self._matches if match.impact.held_force]
+        refused = []
+        for impact in self._matcher.refused:
+            if impact.held_force:
+                forces = [static_force(self._held_limits, impact.held_force)]
+                forces += [static_force(self._limits, impact.peak_force)] if impact.reason == PRESS else []
+                refused.append(max(forces, key=_share))
+        apart = sum(force.exceeds for force in refused)
+        forces = matched + refused
+        count = sum(force.exceeds for force in matched) + apart
+        return HeldForces(len(forces), count, max(forces, key=_share, default=NO_REGION)), apart
 
     @property
     def _gain_tolerance(self) -> float:
@@ -331,7 +374,7 @@ class Validator:
         }
         selected = predictions[self._model]
         peak, impulse = impact.peak_force / match.force_share, match.impulse
-        region = self._region_force(match, selected.stiffness)
+        region, held = self._region_force(match, selected.stiffness), self._held_force(match)
         return ValidatedImpact(
             stamp_ns=impact.stamp_ns,
             frame_id=impact.frame_id,
@@ -346,7 +389,10 @@ class Validator:
             body_region=region.region,
             region_force=region.force,
             limit_force=region.limit,
-            exceeds_limit=region.exceeds,
+            exceeds_limit=region.exceeds or held.exceeds,
+            held_force=held.force,
+            held_limit=held.limit,
+            held_region=held.region,
             series=summary.statistics,
             predictions=tuple(predictions.values()),
             contact_point=self._contact_point,
@@ -386,3 +432,8 @@ class Validator:
                 f"force goes to {low} and never above {high}: compression is positive; set sensor.invert"
             )
         return clock or self._matcher.clock.problem(self._matcher.states), force_sign
+
+
+def _share(force: RegionForce) -> float:
+    """Return the force as a share of its limit."""
+    return force.force / force.limit if force.limit else 0.0

@@ -24,8 +24,11 @@ def impact_text(impact: Impact) -> str:
     """Return one line about an impact: peak, duration, impulse, and its flaws."""
     flags = {"clipped": impact.clipped, "incomplete": impact.incomplete}
     wrong = "".join(f", {name}" for name, is_set in flags.items() if is_set)
-    size = f"peak {impact.peak_force:.1f} N, {1e3 * impact.duration:.2f} ms, {impact.impulse:.3g} N s{wrong}"
-    return f"{'simulated ' * impact.simulated}impact on {impact.frame_id}: {size}"
+    held = f", held {impact.held_force:.1f} N" if impact.held_force else ""
+    load = f" on a load of {impact.load_force:.1f} N" if impact.load_force else ""
+    size = f"{1e3 * impact.duration:.2f} ms, {impact.impulse:.3g} N s{wrong}"
+    force = f"peak {impact.peak_force:.1f} N{load}{held}, {size}"
+    return f"{'simulated ' * impact.simulated}impact on {impact.frame_id}: {force}"
 
 
 def daq_statuses(
@@ -117,4 +120,5 @@ def _channel_status(channel: ForceChannel, detector: Detector, impacts: int) -> 
         "sustained contacts": detector.sustained_contacts,
         "tensile pulses": detector.tensile_pulses,
     }
+    values |= {f"left out: {item.reason}": f"{item.count}, up to {item.peak_force:.1f} N" for item in detector.left_out}
     return status(f"channel {channel.name}", f"{impacts} impacts", values, problem=problem, level=level)

@@ -6,6 +6,7 @@ from collections.abc import Collection
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from scara_effmass.impacts.agreement import comparison_text
 from scara_effmass.impacts.validator import Validator
 from scara_effmass.nodes.diagnostics import status
 from scara_effmass.values import ValidatedImpact
@@ -17,9 +18,7 @@ def impact_text(impact: ValidatedImpact) -> str:
     force = (
         f"peak {impact.measured_force:.1f} N, predicted {impact.predicted_force:.1f} N ({impact.relative_error:+.1%})"
     )
-    side = "ABOVE" if impact.exceeds_limit else "below"
-    region = f"{impact.region_force:.1f} N on {impact.body_region}, {side} its limit of {impact.limit_force:.1f} N"
-    return f"{simulated}: {force}; {region}; {impact.series.count} in the series"
+    return f"{simulated}: {force}; {comparison_text(impact)}; {impact.series.count} in the series"
 
 
 def series_status(
@@ -41,6 +40,9 @@ def series_status(
     selected, fit = next((model.overall, model.fit) for model in result.models if model.model == result.model)
     problem = result.clock or result.force_sign or "; ".join((*sorted(incompatible_qos), *undecodable)) or unheard
     unpaired = sum(result.unpaired.values())
+    if not problem and result.held.exceedances:
+        worst = result.held.worst
+        problem = f"held force above a limit: {worst.force:.1f} N of {worst.limit:.1f} N on {worst.region}"
     if not problem and unpaired:
         problem = f"{unpaired} impacts could not be paired: {', '.join(result.unpaired)}"
     if not problem and result.contact_point not in contact_points:
@@ -66,6 +68,8 @@ def series_status(
         "gain of the force": f"{fit.gain:.4g} ({fit.gain_interval.low:.4g} to {fit.gain_interval.high:.4g})",
         "clock offset [s]": f"{result.clock_offset.offset:.4g}",
         "impacts above the limit": result.exceedances,
+        "contacts that held": result.held.count,
+        "contacts that held above the limit": result.held.exceedances,
         "bias [N]": f"{selected.bias:.4g}",
         "rmse [N]": f"{selected.rmse:.4g}",
         "non-conservative": selected.non_conservative,

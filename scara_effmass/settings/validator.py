@@ -101,7 +101,12 @@ class ValidatorSettings(FrozenSettings):
         gt=0.0,
         le=60.0,
     )
-    impact_delay: float = fixed(1.5, "maximum delay between the onset and the report of an impact [s]", ge=0.0, le=60.0)
+    impact_delay: float = fixed(
+        1.5,
+        "maximum delay between the onset and the report of an impact, or the end of one that stays [s]",
+        ge=0.0,
+        le=60.0,
+    )
     history: float = fixed(10.0, "duration for which contact states are kept for late impacts [s]", ge=1.0, le=3600.0)
     criterion: CriterionSettings = CriterionSettings()
 

@@ -107,10 +107,13 @@ def _append(data: bytearray, kind: str, value: Any) -> None:  # noqa: ANN401 - a
             data += items.tobytes()
 
 
-def decode(data: bytes, message_type: str) -> dict[str, Any]:
-    """Return the fields of a message in CDR of either byte order; see `encode`. Raises DecodeError."""
+def decode(data: bytes, message_type: str, lacking: int = 0) -> dict[str, Any]:
+    """Return the fields of a message in CDR of either byte order; see `encode`. Raises DecodeError.
+
+    Messages of earlier versions are `lacking` this number of fields at the end.
+    """
     cursor = Cursor(data, message_type)
-    fields = MESSAGES[message_type]
+    fields = dict(list(MESSAGES[message_type].items())[: -lacking or None])
     values = {name: cursor.read(name, kind) for name, kind in fields.items()}
     cursor.end(list(fields)[-1])
     return values

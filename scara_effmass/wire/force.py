@@ -9,12 +9,18 @@ import numpy as np
 from scara_effmass.errors import DecodeError
 from scara_effmass.values import MAX_LOST_SAMPLES, ForceBlock, Impact
 from scara_effmass.wire.cdr import decode, encode
+from scara_effmass.wire.message_types import IMPACT
 
 _SAMPLE_RATES = (1e-3, 1e9)
 """Range of sample rates [Hz]; with others, computed times would overflow."""
 _MAX_SAMPLE = 2**53
 """Maximum index that a 64-bit float counts exactly, and maximum size of the numbers of an impact."""
-_IMPACT_NUMBERS = ("peak_force", "duration", "impulse", "onset_sample", "baseline", "noise", "compression_impulse")
+_IMPACT_NUMBERS = (
+    *("peak_force", "duration", "impulse", "onset_sample", "baseline", "noise", "compression_impulse"),
+    *("held_force", "load_force"),
+)
+ADDED_FIELDS = {IMPACT: 2}
+"""Number of fields at the end of a message that recordings of earlier versions do not have; they have defaults."""
 
 
 def force_block_message(block: ForceBlock) -> bytes:
@@ -55,10 +61,13 @@ def impact_message(impact: Impact) -> bytes:
     return encode("Impact", impact._asdict())
 
 
-def decode_impact(data: bytes) -> Impact:
-    """Return the Impact in `data` (CDR of either byte order). Raises DecodeError."""
-    values = decode(data, "Impact")
+def decode_impact(data: bytes, *, is_earlier: bool = False) -> Impact:
+    """Return the Impact in `data` (CDR of either byte order). Raises DecodeError.
+
+    `is_earlier`: it is one of an earlier version, without `ADDED_FIELDS`.
+    """
+    values = decode(data, "Impact", ADDED_FIELDS[IMPACT] if is_earlier else 0)
     for name in _IMPACT_NUMBERS:
-        if not abs(values[name]) <= _MAX_SAMPLE:
+        if not abs(values.get(name, 0.0)) <= _MAX_SAMPLE:
             raise DecodeError(f"Impact: {name} = {values[name]}: must be finite and at most {_MAX_SAMPLE} in size")
     return Impact(**values)

@@ -52,7 +52,7 @@ def impact(stamp_ns: int = 10 * S, rebound: int = 0) -> Impact:
 def validation(stamp_ns: int, count: int) -> Validation:
     none, rest = (0.0, 0.0), (0, True, True, "")
     series = SeriesStatistics(count, *(0.9, 1e5, 0.0, 1.0), 0, 1.0, none, 1.0, none, 0.1, 0.5, none, 0.0, *rest)
-    return Validation(stamp_ns, *(110.0, 100.0, 0.1, 0.5, 0.25), True, "hand", 140.0, False, series)  # noqa: FBT003
+    return Validation(stamp_ns, *(110.0, 100.0, 0.1, 0.5, 0.25), True, "hand", 90.0, 140.0, False, series)  # noqa: FBT003
 
 
 def test_a_cell_without_any_state_is_unknown() -> None:

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scara_effmass.impacts.detector import Detector
+from scara_effmass.impacts.segment import SINGLE_SAMPLE, STUCK
 from scara_effmass.settings import DetectionSettings
 
 if TYPE_CHECKING:
@@ -45,10 +46,14 @@ def eventful(add_pulse: AddPulse) -> FloatArray:
 
 def test_the_eventful_signal(detect: Detect, eventful: FloatArray) -> None:
     impacts, detector = detect(eventful)
-    onsets = [300, 9_000.3, 9_100, 9_600, 14_000, 36_000.7, 52_000.1, SIZE - 20]
+    onsets = [300, 9_000.3, 9_100, 9_600, 14_000, 20_000, 36_000.7, 52_000.1, SIZE - 20]
     assert [impact.onset_sample for impact in impacts] == pytest.approx(onsets, abs=2)
-    assert [impact.rebound for impact in impacts] == [0, 0, 1, 2, 3, 0, 0, 0]
-    assert [impact.incomplete for impact in impacts] == [False, False, False, False, True, False, False, True]
+    assert [impact.rebound for impact in impacts] == [0, 0, 1, 2, 3, 4, 0, 0, 0]
+    assert [impact.incomplete for impact in impacts] == [False] * 4 + [True] + [False] * 3 + [True]
+    assert [impact.held_force for impact in impacts] == pytest.approx([0.0] * 5 + [25.0] + [0.0] * 3, abs=0.5)
+    assert [impact.load_force for impact in impacts] == pytest.approx([0.0] * 6 + [25.0] + [0.0] * 2, abs=0.1)
+    assert {(item.reason, item.count) for item in detector.left_out} == {(SINGLE_SAMPLE, 1), (STUCK, 1)}
+    assert [item.peak_force for item in detector.left_out] == pytest.approx([80.0, 57.0], abs=1.0)
     assert (detector.dropouts, detector.glitches, detector.sustained_contacts) == (2, 1, 1)
 
 
@@ -122,6 +127,8 @@ def test_scaling_force_and_threshold_scales_the_impacts(detect: Detect, eventful
             baseline=impact.baseline * factor,
             noise=impact.noise * factor,
             compression_impulse=impact.compression_impulse * factor,
+            held_force=impact.held_force * factor,
+            load_force=impact.load_force * factor,
         )
         for impact in detect(eventful).impacts
     ]
@@ -318,11 +325,15 @@ def test_a_push_is_no_impact_and_does_not_blind(detect: Detect, add_pulse: AddPu
     add_pulse(steady, 35_000, 4e-3, 100.0)
     for force in (steady, hand):
         add_pulse(force, 50_000, 4e-3, 100.0)
-    impacts, detector = detect(steady)
+    (push, *impacts), detector = detect(steady)
+    assert (push.onset_sample, push.held_force) == (pytest.approx(10_000, abs=1), pytest.approx(40.0, abs=0.5))
     assert [impact.onset_sample for impact in impacts] == pytest.approx([35_000, 50_000], abs=1)
     assert [impact.baseline for impact in impacts] == pytest.approx([40.0, 0.0], abs=0.1)
+    assert [impact.load_force for impact in impacts] == pytest.approx([40.0, 0.0], abs=0.1)
     assert detector.sustained_contacts == 1
-    (impact,), detector = detect(hand)
+    (push, impact), detector = detect(hand)
+    assert (push.onset_sample, push.duration) == (pytest.approx(10_000, abs=1), pytest.approx(30_000 / RATE, rel=0.01))
+    assert (push.held_force, push.load_force) == (pytest.approx(60.0, abs=0.5), 0.0)
     assert impact.peak_force == pytest.approx(100.0, rel=0.005)
     assert detector.sustained_contacts == 1
 

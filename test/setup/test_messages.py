@@ -39,12 +39,12 @@ CONTRACT = {
     ),
     "Impact": (
         "header peak_force duration impulse onset_sample clipped incomplete rebound baseline noise clock_residual "
-        "source simulated compression_impulse"
+        "source simulated compression_impulse held_force load_force"
     ),
     "ImpactValidation": (
         "header predicted_force measured_force relative_error effective_mass reduced_mass speed stiffness conservative "
         "compression_impulse measured_reduced_mass measured_effective_mass measured_stiffness clock_offset body_region "
-        "region_force limit_force exceeds_limit series"
+        "region_force limit_force exceeds_limit series held_force held_limit held_region"
     ),
     "NodeReadiness": "header node active use_sim_time peers",
     "RunInfo": (

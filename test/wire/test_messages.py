@@ -80,7 +80,10 @@ def blocks(draw: st.DrawFn) -> ForceBlock:
     return block
 
 
-FINITE = ("peak_force", "duration", "impulse", "onset_sample", "baseline", "noise", "compression_impulse")
+FINITE = (
+    *("peak_force", "duration", "impulse", "onset_sample", "baseline", "noise", "compression_impulse"),
+    *("held_force", "load_force"),
+)
 IMPACTS = values_of(Impact, **dict.fromkeys(FINITE, st.floats(-(2.0**53), 2.0**53)))
 
 

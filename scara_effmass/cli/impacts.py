@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`scara-effmass impacts`."""
+
+import argparse
+from pathlib import Path
+
+from scara_effmass.analysis.contacts import recorded_contacts
+from scara_effmass.bags.files import find_bags
+from scara_effmass.cli.console import print_json, print_lines, print_table, progress_bar
+from scara_effmass.cli.options import override, selected
+from scara_effmass.importers.force import IMPORTERS
+from scara_effmass.settings import DaqSettings, DetectionSettings, ImportSettings, checked, load_settings
+
+OTHERS = ("monitor", "validator")
+HEADINGS = ("time [s]", "peak [N]", "impulse [N s]", "duration [ms]", "held [N]", "")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the contacts in each recording, and what was left out."""
+    settings = override(ImportSettings(topic=args.force_topic or ""), selected(args, "import"))
+    detection = load_settings(DaqSettings, args.params, "daq", OTHERS).detection if args.params else DetectionSettings()
+    if args.threshold is not None:
+        detection = checked(DetectionSettings, {**detection.model_dump(), "threshold": args.threshold}, "options")
+    with progress_bar() as progress:
+        paths = [path for argument in args.bags for path in _files(argument)]
+        found = [recorded_contacts(path, settings, detection) for path in progress.track(paths, description="impacts")]
+    if args.json:
+        count = sum(len(recording.contacts) for recording in found)
+        print_json({"contacts": count, "recordings": [recording.as_dict() for recording in found]})
+        return 0
+    for recording in found:
+        origin = "simulated, not measured" if recording.simulated else "as recorded"
+        force = f"{recording.samples} samples, {recording.lost_samples} lost; {origin}: {recording.source}"
+        print_lines([("recording", recording.path), ("force", force), ("contacts", len(recording.contacts))])
+        if recording.contacts:
+            print_table("", HEADINGS, recording.rows())
+        print_lines(recording.lines())
+    return 0
+
+
+def _files(path: Path) -> list[Path]:
+    """Return `path` if it is a file of force, or else the recordings in it. Raises BagError."""
+    return [path] if path.suffix.lower() in IMPORTERS else find_bags(path)

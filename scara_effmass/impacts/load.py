@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Force that stays, and force that is in no impact: contacts that last, loads on the baseline, and counts by reason."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from scara_effmass.iso15066 import TRANSIENT_S
+from scara_effmass.values import FloatArray, Impact, LeftOut
+
+MAX_HELD_S = 5.0
+"""Time after the onset at which a contact is reported although its force still moves [s]."""
+DRIFT_TIME_S = 10.0
+"""A change by less than the threshold in this time is drift, no force [s]."""
+LOW_TIME_S = 5.0
+"""Force that is lower for this time [s] is the new level without load; undershoot after a contact is shorter."""
+
+NO_BASELINE = "no steady baseline"
+EARLIER_LOAD = "load from before the recording, or a zero that shifted"
+LATER_LOAD = "load that goes on after its contact was reported"
+SLOW_CHANGE = "slow change: drift, or a press that comes and goes slowly"
+TENSION = "below the baseline: tension, an earlier load that goes, or a wrong sign"
+
+
+class LeftOuts:
+    """Count force that is in no impact, by reason."""
+
+    def __init__(self) -> None:
+        self._by_reason: dict[str, LeftOut] = {}
+
+    def add(self, reason: str, peak: float, stamp_ns: int, count: int = 1) -> None:
+        """Count an event with its `peak` [N]; a `count` of 0 continues the latest event of this reason."""
+        known = self._by_reason.get(reason, LeftOut(reason, 0, -math.inf, 0))
+        if peak > known.peak_force:
+            known = known._replace(peak_force=peak, stamp_ns=stamp_ns)
+        self._by_reason[reason] = known._replace(count=max(known.count + count, 1))
+
+    def __iter__(self) -> Iterator[LeftOut]:
+        """Yield the counts, the largest peak first."""
+        return iter(sorted(self._by_reason.values(), key=lambda item: -item.peak_force))
+
+
+def left_out_text(item: LeftOut) -> str:
+    """Return how often force was left out, and the largest one."""
+    return f"{item.count}: {item.reason} (up to {item.peak_force:.1f} N)"
+
+
+def lasting_peak(force: FloatArray) -> float:
+    """Return the largest `force` (n,) [N] that two consecutive samples reach, because a single one can be a glitch."""
+    pairs = np.minimum(force[1:], force[:-1])
+    return float(pairs[np.isfinite(pairs)].max(initial=-math.inf))
+
+
+class HeldContact:
+    """A contact whose force stays. It begins as `impact`, which was measured up to some sample; `extend` adds the rest.
+
+    `level` is the baseline [N] and `release` the force above it [N] below which there is no contact; `sample_rate` is
+    in [Hz].
+    """
+
+    def __init__(self, impact: Impact, level: float, release: float, sample_rate: float) -> None:
+        self._impact = impact
+        self._level, self._release, self._rate = level, release, sample_rate
+        self._transient_end = math.ceil(impact.onset_sample + TRANSIENT_S * sample_rate)
+        self._end = impact.onset_sample + impact.duration * sample_rate
+        self._seen = math.ceil(self._end)
+
+    def extend(self, samples: FloatArray, first: int) -> None:
+        """Add those of `samples` (n,) [N] that are new; the first one has the number `first`."""
+        force = samples[max(self._seen - first, 0) :] - self._level
+        first = max(self._seen, first)
+        self._seen = first + force.size
+        contact = np.flatnonzero(force > self._release)
+        if not contact.size:
+            return
+        stop = int(contact[-1]) + 1
+        late = min(max(self._transient_end - first, 0), stop)
+        self._end = max(self._end, float(first + stop))
+        self._impact = self._impact._replace(
+            peak_force=max(self._impact.peak_force, lasting_peak(force[:late])),
+            held_force=max(self._impact.held_force, lasting_peak(force[late:stop])),
+            impulse=self._impact.impulse + float(np.nansum(force[:stop])) / self._rate,
+            duration=(self._end - self._impact.onset_sample) / self._rate,
+        )
+
+    def takes_long(self, index: int) -> bool:
+        """Return whether the contact still lasts at sample `index`, MAX_HELD_S after its onset."""
+        return index - self._impact.onset_sample > MAX_HELD_S * self._rate
+
+    @property
+    def impact(self) -> Impact:
+        """The contact so far."""
+        return self._impact
+
+    @property
+    def largest(self) -> float:
+        """Largest force so far [N]."""
+        return max(self._impact.peak_force, self._impact.held_force)
+
+
+class LoadLevel:
+    """Level of the force without load, and the load on it [N], from the baseline over time.
+
+    `zero` is NaN until `settle`. Both follow drift by less than `threshold` [N] in DRIFT_TIME_S.
+    """
+
+    def __init__(self, threshold: float) -> None:
+        self._threshold = threshold
+        self.zero = math.nan
+        self.load = 0.0
+        self._low_s = 0.0
+
+    def settle(self, level: float) -> None:
+        """Take a new baseline: what it is above `zero` is the load of a contact."""
+        if math.isnan(self.zero):
+            self.zero = level
+        above = level - self.zero
+        self.load = above if above > self._threshold else 0.0
+
+    def tare(self) -> None:
+        """Take the load as part of the level without load, because the sensor was tared."""
+        self.zero, self.load = self.zero + self.load, 0.0
+
+    def follow(self, level: float, seconds: float) -> float:
+        """Follow the quiet force, which was at `level` for `seconds`; return how far it is above zero and load [N].
+
+        Beyond the threshold, that is a slow change. Returns a negative number, once, for an earlier load that went.
+        """
+        change = level - self.zero - self.load
+        self._low_s = self._low_s + seconds if change < -self._threshold else 0.0
+        if self.load and level < self.zero + self._threshold:
+            self.load = 0.0
+        elif self._low_s > LOW_TIME_S:
+            self.zero, self.load, self._low_s = level, 0.0, 0.0
+            return change
+        if abs(change) > self._threshold:
+            return max(change, 0.0)
+        step = self._threshold * seconds / DRIFT_TIME_S
+        if self.load:
+            self.load += min(max(change, -step), step)
+        else:
+            self.zero += min(max(change, -step), step)
+        return max(change, 0.0)
