@@ -39,7 +39,7 @@ from scara_effmass.impacts.validator import ModelResult, Result
 from scara_effmass.input_files import read_table
 from scara_effmass.iso15066 import Limit, force_per_root_stiffness, limits_for
 from scara_effmass.model.robot import Robot
-from scara_effmass.values import ValidatedImpact, Verdict
+from scara_effmass.values import ValidatedImpact, Verdict, at_least, at_most
 
 RECORD = "report.json"
 FIGURES = read_table(__file__, "validation_figures.yaml")
@@ -161,7 +161,8 @@ def limit_text(result: Result) -> str:
     if worst is None:
         return "no force to compare"
     above = f"{result.exceedances} of {len(result.impacts)} impacts above the limit"
-    return f"{above}; largest {worst.region_force:.0f} N of {worst.limit_force:.0f} N ({worst.body_region})"
+    force, limit = at_least(worst.region_force, 0), at_most(worst.limit_force, 0)
+    return f"{above}; largest {force} N of {limit} N ({worst.body_region})"
 
 
 def record(validation: Validation, settings: ValidationSettings, robot: Robot) -> dict[str, Any]:

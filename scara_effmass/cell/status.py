@@ -78,6 +78,7 @@ class Validation:
     speed: float
     conservative: bool
     body_region: str
+    region_force: float = field(default=0.0, kw_only=True)
     limit_force: float
     exceeds_limit: bool
     series: SeriesStatistics

@@ -18,7 +18,7 @@ from rich.progress import Progress, ProgressColumn
 from rich.table import Table
 from rich.text import Text
 
-from scara_effmass.values import ContactAssessment, Decision, Verdict
+from scara_effmass.values import ContactAssessment, Decision, Verdict, at_most
 
 if TYPE_CHECKING:
     from scara_effmass.bags.bag import Bag
@@ -128,6 +128,6 @@ def live_status(console: Console, *, visible: bool) -> Iterator[ShowStatus]:
 
 def _status_line(contact: ContactAssessment, time_s: float, speed_scaling: float) -> Text:
     text = Text(f"{time_s:6.1f} s  {contact.contact_point}: ", no_wrap=True)
-    text.append(f"{contact.speed:5.3f} of {contact.allowable_speed:5.3f} m/s, {contact.effective_mass:6.3g} kg  ")
+    text.append(f"{contact.speed_text}, {contact.effective_mass:6.3g} kg  ")
     text.append(f"{contact.verdict.name:<9}", _STYLES[contact.verdict])
-    return text.append(f"  scaling {speed_scaling:.2f}")
+    return text.append(f"  scaling {at_most(speed_scaling, 2)}")

@@ -8,7 +8,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from scara_effmass.impacts.validator import Validator
 from scara_effmass.nodes.diagnostics import status
-from scara_effmass.values import ValidatedImpact
+from scara_effmass.values import ValidatedImpact, at_least, at_most
 
 
 def impact_text(impact: ValidatedImpact) -> str:
@@ -17,8 +17,9 @@ def impact_text(impact: ValidatedImpact) -> str:
     force = (
         f"peak {impact.measured_force:.1f} N, predicted {impact.predicted_force:.1f} N ({impact.relative_error:+.1%})"
     )
+    limit = at_most(impact.limit_force, 1)
     side = "ABOVE" if impact.exceeds_limit else "below"
-    region = f"{impact.region_force:.1f} N on {impact.body_region}, {side} its limit of {impact.limit_force:.1f} N"
+    region = f"{at_least(impact.region_force, 1)} N on {impact.body_region}, {side} its limit of {limit} N"
     return f"{simulated}: {force}; {region}; {impact.series.count} in the series"
 
 
