@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from itertools import chain
+from textwrap import wrap
 from typing import TYPE_CHECKING, TypeVar
 
 from rich.box import SIMPLE_HEAD
@@ -29,6 +30,8 @@ PIPE_WIDTH = 160
 """Width of the output without a terminal [columns]."""
 PIPE_PERIOD_S, TERMINAL_PERIOD_S = 2.0, 0.125
 """Period of the status of a live run."""
+WIDE = 100
+"""Columns from which a table has room for sentences."""
 _MAX_WORD = 16
 LEVEL_STYLES = {"ok": "green", "note": "yellow", "wrong": "bold white on red"}
 _STYLES = {
@@ -81,6 +84,20 @@ def print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[obj
         cells = ("none" if v is None else f"{v:.4g}" if isinstance(v, int | float) else str(v) for v in row)
         table.add_row(*(Text(cell, LEVEL_STYLES.get(cell, "")) for cell in cells))
     printer().print(table)
+
+
+def print_findings(headings: Sequence[str], rows: Sequence[tuple[str, str, str]]) -> None:
+    """Print rows of level, subject and text: as a table, or below 100 columns as paragraphs, which keep words whole."""
+    console = printer()
+    if console.width >= WIDE:
+        print_table("", headings, rows)
+        return
+    indent = 2 + max(len(level) for level, *_ in rows)
+    for level, subject, text in rows:
+        lines = wrap(f"{subject}: {text}", console.width - indent, break_long_words=False, break_on_hyphens=False)
+        console.print(Text(f"{level:<{indent}}", LEVEL_STYLES.get(level, "")) + Text(lines[0]))
+        for line in lines[1:]:
+            console.print(f"{'':{indent}}{line}")
 
 
 def progress_bar(*columns: ProgressColumn) -> Progress:

@@ -6,7 +6,7 @@ import math
 from dataclasses import asdict
 from typing import Any
 
-from scara_effmass.cli.console import print_json, print_table, printer
+from scara_effmass.cli.console import WIDE, print_json, print_table, printer
 from scara_effmass.cli.options import monitor_settings
 from scara_effmass.iso15066 import (
     BODY_POINTS,
@@ -22,9 +22,6 @@ from scara_effmass.iso15066 import (
 )
 from scara_effmass.settings import Drives, MonitorSettings
 from scara_effmass.values import at_most
-
-_WIDE = 100
-"""Columns from which the table has room for whole clauses."""
 
 
 def run(args: argparse.Namespace) -> int:
@@ -49,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
         }
         print_json(result)
         return 0
-    is_wide = printer().width >= _WIDE
+    is_wide = printer().width >= WIDE
     print_table(
         "Body points (2016: Table A.2): permissible force and pressure",
         ("row", "point", "region", "clamped\n[N]", "\n[N/cm²]", "transient\n[N]", "\n[N/cm²]"),
