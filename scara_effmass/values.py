@@ -4,7 +4,9 @@
 Most are named tuples: they are built in every cycle, and a dataclass takes three times as long.
 """
 
+import math
 from dataclasses import dataclass
+from decimal import ROUND_FLOOR, ROUND_UP, Decimal
 from enum import IntEnum
 from typing import Annotated, NamedTuple
 
@@ -39,6 +41,28 @@ def mobility_matrix(entries: Mobility6) -> FloatArray:
 def true_runs(mask: BoolArray) -> NDArray[np.intp]:
     """Return start and stop (k, 2) of each run of True in `mask` (n,)."""
     return np.flatnonzero(np.diff(mask, prepend=False, append=False)).reshape(-1, 2)
+
+
+def limit_share(speed: float, allowable_speed: float) -> float:
+    """Return speed over allowable speed; infinite where nothing is allowed."""
+    return speed / allowable_speed if allowable_speed > 0.0 else math.inf
+
+
+def at_most(value: float, digits: int) -> str:
+    """Return an allowed value as text, rounded down to `digits` decimals: the text allows no more than the number."""
+    return _rounded(value, digits, ROUND_FLOOR)
+
+
+def at_least(value: float, digits: int) -> str:
+    """Return an actual value as text, its size rounded up to `digits` decimals: the text shows no less."""
+    return _rounded(value, digits, ROUND_UP)
+
+
+def _rounded(value: float, digits: int, rounding: str) -> str:
+    if not abs(value) < 1e12:  # nor is NaN
+        return f"{value:.{digits}f}"
+    exact = Decimal(f"{value:.12g}")  # without the noise of the last bits, which would add a digit to 0.25
+    return f"{exact.quantize(Decimal(1).scaleb(-digits), rounding) + 0:f}"
 
 
 class Payload(NamedTuple):
@@ -131,6 +155,16 @@ class ContactAssessment(NamedTuple):
     reason: str
 
     @property
+    def limit_share(self) -> float:
+        """Speed over allowable speed; infinite where nothing is allowed."""
+        return limit_share(self.speed, self.allowable_speed)
+
+    @property
+    def speed_text(self) -> str:
+        """Speed of allowable speed as text."""
+        return f"{at_least(self.speed, 3)} of {at_most(self.allowable_speed, 3)} m/s"
+
+    @property
     def mass_model_text(self) -> str:
         """The deciding model and the reason, such as "full: no lumped mass"; empty if none decides."""
         return f"{self.mass_model}: {self.mass_model_reason}" if self.mass_model else ""
@@ -169,10 +203,10 @@ class Decision(NamedTuple):
 
     @property
     def worst(self) -> ContactAssessment:
-        """The contact with the smallest margin among those with the worst verdict."""
+        """The contact with the largest share of its allowable speed among those with the worst verdict."""
         if len(self.contacts) == 1:
             return self.contacts[0]
-        return max(self.contacts, key=lambda contact: (severity(contact.verdict), -contact.margin))
+        return max(self.contacts, key=lambda contact: (severity(contact.verdict), contact.limit_share, -contact.margin))
 
     @property
     def assessed_ns(self) -> int:

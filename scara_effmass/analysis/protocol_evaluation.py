@@ -34,7 +34,7 @@ from scara_effmass.impacts.agreement import region_force
 from scara_effmass.input_files import digest
 from scara_effmass.iso15066 import TABLE_HASH, TRANSIENT_S, Limit, limits_for
 from scara_effmass.settings import ContactType, ImportSettings, MonitorSettings
-from scara_effmass.values import ValidatedImpact, Verdict
+from scara_effmass.values import ValidatedImpact, Verdict, at_least
 
 RECORD = "report.json"
 MAX_CONTACT_S = 10.0
@@ -170,7 +170,7 @@ def evaluate(protocol: Protocol, test: ContactTest, folder: Path) -> Evaluation:
     verdict = Verdict.OK if ratio * (1.0 + relative) <= 1.0 else Verdict.WARN if ratio <= 1.0 else Verdict.VIOLATION
     return Evaluation(
         verdict=(Verdict.UNKNOWN if reasons else verdict).name,
-        reasons=(f"{ratio:.0%} of the limit, ±{ratio * relative:.0%}", *reasons),
+        reasons=(f"{at_least(100.0 * ratio, 0)}% of the limit, ±{at_least(100.0 * ratio * relative, 0)}%", *reasons),
         **values,
     )
 

@@ -29,11 +29,12 @@ from pydantic import BaseModel
 
 from scara_effmass import __version__
 from scara_effmass.analysis.output import write_files
-from scara_effmass.analysis.summary import iso_time
+from scara_effmass.analysis.summary import iso_time, signed
 from scara_effmass.errors import OutputError
 from scara_effmass.input_files import digest
 from scara_effmass.iso15066 import EDITION, TABLE_HASH
 from scara_effmass.settings.loading import flat_fields
+from scara_effmass.values import at_least, at_most
 
 TEMPLATES = Path(__file__).parent / "templates"
 ENGLISH = "en"
@@ -138,6 +139,9 @@ def environment(language: str) -> Environment:
         "css": css_string,
         "capital": lambda text: text[:1].upper() + text[1:],
         "percent": lambda share: f"{share:.1%}",
+        "at_least": at_least,
+        "at_most": at_most,
+        "signed": signed,
     }
     return made
 

@@ -20,7 +20,7 @@ from scara_effmass.codes import Reason
 from scara_effmass.kernel.state import CODE
 from scara_effmass.safety.assessments import Records
 from scara_effmass.safety.remedies import remedy
-from scara_effmass.values import BoolArray, ContactAssessment, Verdict
+from scara_effmass.values import BoolArray, ContactAssessment, Verdict, at_least, at_most
 
 NUMBER = re.compile(r"(?<![\w.])-?\d+(\.\d+)?(e[-+]?\d+)?(?![\w])")
 """Numbers in a reason, but no digits in names; reasons that differ only in numbers are counted together."""
@@ -41,6 +41,11 @@ def iso_time(stamp_ns: int) -> str:
     seconds, rest_ns = divmod(stamp_ns, 1_000_000_000)
     time = datetime.fromtimestamp(seconds, timezone.utc).replace(microsecond=rest_ns // 1000)
     return time.isoformat(timespec="microseconds").replace("+00:00", "Z")
+
+
+def signed(margin: float) -> str:
+    """Return a margin [m/s] with its sign, rounded down."""
+    return f"{'+' * (margin >= 0.0)}{at_most(margin, 3)}"
 
 
 def worst(verdicts: Iterable[Verdict]) -> Verdict:
@@ -76,8 +81,8 @@ class TightestMargin(NamedTuple):
     def lines(self) -> Iterator[tuple[str, str]]:
         """Yield subject and text of each line."""
         contact = self.contact
-        speeds = f"{contact.speed:.3f} m/s where {contact.allowable_speed:.3f} m/s is allowable"
-        yield "tightest margin", f"{contact.margin:+.3f} m/s ({contact.verdict.name}): {speeds}"
+        speeds = f"{at_least(contact.speed, 3)} m/s where {at_most(contact.allowable_speed, 3)} m/s is allowable"
+        yield "tightest margin", f"{signed(contact.margin)} m/s ({contact.verdict.name}): {speeds}"
         source = f" in {self.source}" if self.source else ""
         yield "  where", f"{contact.contact_point} at {iso_time(self.stamp_ns)}{source}"
         if self.positions:

@@ -41,7 +41,7 @@ from scara_effmass.impacts.validator import ModelResult, Result
 from scara_effmass.input_files import read_table
 from scara_effmass.iso15066 import Limit, force_per_root_stiffness, limits_for
 from scara_effmass.model.robot import Robot
-from scara_effmass.values import LeftOut, ValidatedImpact, Verdict
+from scara_effmass.values import LeftOut, ValidatedImpact, Verdict, at_least, at_most
 
 RECORD = "report.json"
 FIGURES = read_table(__file__, "validation_figures.yaml")
@@ -173,7 +173,7 @@ def limit_text(result: Result) -> str:
         peak = max((impact.peak_force for impact in result.refused), default=0.0)
         return f"no peak could be converted to a body region; largest measured peak {peak:.0f} N" if peak else NO_FORCE
     above = f"{above_limit(result)} of {len(result.impacts)} impacts above the limit"
-    largest = f"largest {worst.region_force:.0f} N of {worst.limit_force:.0f} N ({worst.body_region})"
+    largest = f"largest {at_least(worst.region_force, 0)} N of {at_most(worst.limit_force, 0)} N ({worst.body_region})"
     return f"{above}; {largest}, converted from a measured peak of {worst.measured_force:.0f} N"
 
 
@@ -187,7 +187,7 @@ def held_text(result: Result) -> str:
     if not result.held.count:
         return ""
     above, worst = f"{result.held.exceedances} of {result.held.count} above the limit", result.held.worst
-    return f"{above}; largest {worst.force:.0f} N of {worst.limit:.0f} N ({worst.region})"
+    return f"{above}; largest {at_least(worst.force, 0)} N of {at_most(worst.limit, 0)} N ({worst.region})"
 
 
 def impacts_text(result: Result) -> str:

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from itertools import chain
+from textwrap import wrap
 from typing import TYPE_CHECKING, TypeVar
 
 from rich.box import SIMPLE_HEAD
@@ -18,7 +19,7 @@ from rich.progress import Progress, ProgressColumn
 from rich.table import Table
 from rich.text import Text
 
-from scara_effmass.values import ContactAssessment, Decision, Verdict
+from scara_effmass.values import ContactAssessment, Decision, Verdict, at_most
 
 if TYPE_CHECKING:
     from scara_effmass.bags.bag import Bag
@@ -29,6 +30,8 @@ PIPE_WIDTH = 160
 """Width of the output without a terminal [columns]."""
 PIPE_PERIOD_S, TERMINAL_PERIOD_S = 2.0, 0.125
 """Period of the status of a live run."""
+WIDE = 100
+"""Columns from which a table has room for sentences."""
 _MAX_WORD = 16
 LEVEL_STYLES = {"ok": "green", "note": "yellow", "wrong": "bold white on red"}
 _STYLES = {
@@ -83,6 +86,20 @@ def print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[obj
     printer().print(table)
 
 
+def print_findings(headings: Sequence[str], rows: Sequence[tuple[str, str, str]]) -> None:
+    """Print rows of level, subject and text: as a table, or below 100 columns as paragraphs, which keep words whole."""
+    console = printer()
+    if console.width >= WIDE:
+        print_table("", headings, rows)
+        return
+    indent = 2 + max(len(level) for level, *_ in rows)
+    for level, subject, text in rows:
+        lines = wrap(f"{subject}: {text}", console.width - indent, break_long_words=False, break_on_hyphens=False)
+        console.print(Text(f"{level:<{indent}}", LEVEL_STYLES.get(level, "")) + Text(lines[0]))
+        for line in lines[1:]:
+            console.print(f"{'':{indent}}{line}")
+
+
 def progress_bar(*columns: ProgressColumn) -> Progress:
     """Return a progress bar on stderr, to be used in a `with`; it is invisible unless stderr is a terminal."""
     return Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty(), transient=True)
@@ -128,6 +145,6 @@ def live_status(console: Console, *, visible: bool) -> Iterator[ShowStatus]:
 
 def _status_line(contact: ContactAssessment, time_s: float, speed_scaling: float) -> Text:
     text = Text(f"{time_s:6.1f} s  {contact.contact_point}: ", no_wrap=True)
-    text.append(f"{contact.speed:5.3f} of {contact.allowable_speed:5.3f} m/s, {contact.effective_mass:6.3g} kg  ")
+    text.append(f"{contact.speed_text}, {contact.effective_mass:6.3g} kg  ")
     text.append(f"{contact.verdict.name:<9}", _STYLES[contact.verdict])
-    return text.append(f"  scaling {speed_scaling:.2f}")
+    return text.append(f"  scaling {at_most(speed_scaling, 2)}")

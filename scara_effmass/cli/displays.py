@@ -26,9 +26,11 @@ from scara_effmass.cli.options import load_dynamics, monitor_settings
 from scara_effmass.errors import SettingsError
 from scara_effmass.impacts.agreement import comparison_text
 from scara_effmass.safety.remedies import remedy
-from scara_effmass.values import Verdict, severity
+from scara_effmass.values import Verdict, at_least, at_most, severity
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from scara_effmass.cell.status import CellStatus
 
 _NICENESS = 10
@@ -144,7 +146,11 @@ def screen(status: CellStatus, now_ns: int, name: str, width: int, height: int) 
     figures = Table.grid(expand=True)
     for _ in range(2):
         figures.add_column(justify="center", ratio=1)
-    pair = ("-.---", "-.---") if is_unknown or worst is None else (_figure(worst.speed), _figure(worst.allowable_speed))
+    pair = (
+        ("-.---", "-.---")
+        if is_unknown or worst is None
+        else (_figure(worst.speed, at_least), _figure(worst.allowable_speed, at_most))
+    )
     figures.add_row(Text("speed [m/s]"), Text("allowable speed [m/s]"), style="bold")
     figures.add_row(*(Align.center(Text(_big(text, width // 2, rows))) for text in pair))
     parts.append(figures)
@@ -181,16 +187,16 @@ def _points(status: CellStatus) -> Table:
         table.add_column(heading, justify="right" if "m/s" in heading or heading == "kg" else "left")
     for contact in sorted(status.contacts, key=lambda contact: -severity(contact.verdict)):
         verdict = contact.verdict if status.verdict is not Verdict.UNKNOWN else Verdict.UNKNOWN
-        numbers = (f"{contact.speed:.3f}", f"{contact.allowable_speed:.3f}", f"{contact.effective_mass:.3g}")
+        numbers = (at_least(contact.speed, 3), at_most(contact.allowable_speed, 3), f"{contact.effective_mass:.3g}")
         if verdict is Verdict.UNKNOWN:
             numbers = ("-", "-", "-")
         table.add_row(Text(contact.contact_point), Text(verdict.name, _STYLES[verdict]), *numbers, contact.body_region)
     return table
 
 
-def _figure(speed: float) -> str:
+def _figure(speed: float, rounded: Callable[[float, int], str]) -> str:
     """Return a speed [m/s] in five characters."""
-    return f"{speed:.3f}"[:5]
+    return next((text for digits in (3, 2, 1) if len(text := rounded(speed, digits)) <= 5), rounded(speed, 0))
 
 
 def _big(text: str, width: int, height: int) -> str:

@@ -18,7 +18,7 @@ import numpy as np
 
 from scara_effmass import __version__
 from scara_effmass.analysis.lumped_model import compare_models
-from scara_effmass.cli.console import LEVEL_STYLES, print_json, print_table, printer
+from scara_effmass.cli.console import LEVEL_STYLES, print_findings, print_json, print_table, printer
 from scara_effmass.cli.options import load_dynamics, monitor_settings
 from scara_effmass.codes import ModelCode
 from scara_effmass.errors import DaqError, LimitError, RobotError, SettingsError
@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
         findings = [result._asdict() for result in results]
         print_json({"healthy": healthy, "findings": findings, "joints": joints})
     else:
-        print_table("", ("level", "subject", "result"), results)
+        print_findings(("level", "subject", "result"), results)
         if joints:
             headings = ("joint", "type", "lower", "upper", "max. speed [unit/s]", "link mass [kg]", "unit")
             rows = ((*joint.values(), "rad" if joint["type"] == "revolute" else "m") for joint in joints)

@@ -6,7 +6,7 @@ import math
 from dataclasses import asdict
 from typing import Any
 
-from scara_effmass.cli.console import print_json, print_table, printer
+from scara_effmass.cli.console import WIDE, print_json, print_table, printer
 from scara_effmass.cli.options import monitor_settings
 from scara_effmass.iso15066 import (
     BODY_POINTS,
@@ -21,9 +21,7 @@ from scara_effmass.iso15066 import (
     transferred_energy,
 )
 from scara_effmass.settings import Drives, MonitorSettings
-
-_WIDE = 100
-"""Columns from which the table has room for whole clauses."""
+from scara_effmass.values import at_most
 
 
 def run(args: argparse.Namespace) -> int:
@@ -48,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
         }
         print_json(result)
         return 0
-    is_wide = printer().width >= _WIDE
+    is_wide = printer().width >= WIDE
     print_table(
         "Body points (2016: Table A.2): permissible force and pressure",
         ("row", "point", "region", "clamped\n[N]", "\n[N/cm²]", "transient\n[N]", "\n[N/cm²]"),
@@ -98,11 +96,11 @@ def _print_speeds(masses: list[float], limits: tuple[Limit, ...], settings: Moni
     rows = []
     for limit in limits:
         speed_limits = (speed_limit_of_mass([limit], mass, settings) for mass in masses)
-        speeds = (f"{1e3 * speed.allowable_speed:.0f} ({speed.criterion})" for speed in speed_limits)
+        speeds = (f"{at_most(1e3 * speed.allowable_speed, 0)} ({speed.criterion})" for speed in speed_limits)
         rows.append((limit.region, *speeds, limit.clause))
     if len(limits) > 1:
         speed_limits = (speed_limit_of_mass(limits, mass, settings) for mass in masses)
-        speeds = (f"{1e3 * s.allowable_speed:.0f} ({s.limit.region}, {s.criterion})" for s in speed_limits)
+        speeds = (f"{at_most(1e3 * s.allowable_speed, 0)} ({s.limit.region}, {s.criterion})" for s in speed_limits)
         rows.append(("lowest", *speeds, ""))
     headings = ("region", *(f"{mass:g} kg" for mass in masses), "limits")
     print_table("Allowable speed [mm/s] and the limit that sets it", headings, rows)

@@ -26,6 +26,7 @@ from scara_effmass.cli.tasks import Advance, open_run, sound
 from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
+from scara_effmass.values import at_most
 
 NAME, SUMMARY = "map", "map.json"
 SMALL_SAMPLES = 200_000
@@ -122,7 +123,9 @@ def _lines(task: _MapTask, made: _MapResult) -> Iterator[tuple[str, object]]:
         yield "mass model", f"{model} ({count / summary['configurations']:.1%})"
     yield "cells", f"{summary['cells']} of {1e3 * summary['cell_m']:g} mm, each with its worst configuration"
     for name, unit in (dict.fromkeys(MASSES, "kg") | {"allowable_speed": "m_s"}).items():
-        values = ", ".join(f"{key} {value:.3g}" for key, value in summary[f"{name}_{unit}"].items())
+        is_speed = unit == "m_s"
+        numbers = summary[f"{name}_{unit}"].items()
+        values = ", ".join(f"{key} {at_most(value, 3) if is_speed else f'{value:.3g}'}" for key, value in numbers)
         yield name.removesuffix("_reduced_mass").replace("_", " "), f"{values} {unit.replace('_', '/')}"
     rise = "{p50:.1%} (median), {p95:.1%} (P95)".format(**summary["rise_by_second_half"])
     yield "completeness", f"its second half raised the bound of a cell by {rise}"

@@ -15,13 +15,13 @@ from typing import Any
 
 from nicegui import ui
 
-from scara_effmass.cell.status import CellStatus
+from scara_effmass.cell.status import CellStatus, Validation
 from scara_effmass.dashboard.scene import RobotScene
 from scara_effmass.nodes.cell_client import CellClient
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety.remedies import remedy
 from scara_effmass.settings import MonitorSettings
-from scara_effmass.values import ContactAssessment, Verdict
+from scara_effmass.values import ContactAssessment, Verdict, at_least, at_most
 
 ADVISORY = "Advisory software, not a certified safety function."
 FAST_S, SLOW_S = 0.2, 1.0
@@ -157,10 +157,13 @@ class Page:
                 f"{record.impact.peak_force:.1f} N" + " at least" * (record.impact.clipped or record.impact.incomplete),
                 f"{record.validation.predicted_force:.1f} N" if record.validation else "none yet",
                 f"{record.validation.relative_error:+.1%}" if record.validation else "",
+                _region_text(record.validation) if record.validation else "",
             ]
             for record in islice(reversed(records), 4)
         ]
-        self._impacts.content = _table(["impact", "peak", "predicted", "error"], rows, "no impact yet")
+        self._impacts.content = _table(
+            ["impact", "peak", "predicted", "error", "on the body region"], rows, "no impact yet"
+        )
         low, safe = (
             [[v.predicted_force, v.measured_force] for v in status.validations if v.conservative is c]
             for c in (False, True)
@@ -216,10 +219,10 @@ def _speed_html(status: CellStatus) -> str:
     contact = status.decision.worst
     share = min(contact.speed / contact.allowable_speed, 1.0) if contact.allowable_speed > 0.0 else 1.0
     return (
-        f"<b>{contact.speed:.2f}</b> of <b>{contact.allowable_speed:.2f} m/s</b> allowed"
+        f"<b>{at_least(contact.speed, 3)}</b> of <b>{at_most(contact.allowable_speed, 3)} m/s</b> allowed"
         f'<div class="bar" aria-hidden="true"><i style="width:{share:.0%}"></i></div>'
         f"{escape(contact.contact_point)} · {escape(contact.body_region.replace('_', ' '))} · "
-        f"speed scaling {status.speed_scaling:.2f}"
+        f"speed scaling {at_most(status.speed_scaling, 2)}"
     )
 
 
@@ -228,10 +231,10 @@ def _speed_lines(status: CellStatus, now_ns: int) -> tuple[list[list[float | Non
     lines: tuple[list[list[float | None]], list[list[float | None]]] = ([], [])
     last_ns = 0
     for sample in status.speeds:
-        for line, speed in zip(lines, (sample.allowable_speed, sample.speed), strict=True):
+        for line, speed in zip(lines, (at_most(sample.allowable_speed, 3), at_least(sample.speed, 3)), strict=True):
             if line and sample.at_ns - last_ns > status.timeout_ns:
                 line.append([round((last_ns - now_ns) / 1e9, 2), None])
-            line.append([round((sample.at_ns - now_ns) / 1e9, 2), round(speed, 3)])
+            line.append([round((sample.at_ns - now_ns) / 1e9, 2), float(speed)])
         last_ns = sample.at_ns
     return lines
 
@@ -248,8 +251,8 @@ def _contact_rows(status: CellStatus) -> tuple[list[str], list[list[str]], str]:
 
     rows = [
         ["verdict", *(contact.verdict.name for contact in contacts)],
-        ["speed", *(f"{contact.speed:.3f} m/s" for contact in contacts)],
-        ["allowable speed", *(f"{contact.allowable_speed:.3f} m/s" for contact in contacts)],
+        ["speed", *(f"{at_least(contact.speed, 3)} m/s" for contact in contacts)],
+        ["allowable speed", *(f"{at_most(contact.allowable_speed, 3)} m/s" for contact in contacts)],
         ["effective mass, lumped", *(mass(contact.lumped_mass) for contact in contacts)],
         ["effective mass, full", *(mass(contact.full_mass) for contact in contacts)],
         ["effective mass, ISO", *(mass(contact.iso_mass) for contact in contacts)],
@@ -259,6 +262,15 @@ def _contact_rows(status: CellStatus) -> tuple[list[str], list[list[str]], str]:
     ]
     headings = ["along the velocity", *(contact.contact_point for contact in contacts)]
     return headings, rows if contacts else [], "no valid contact state"
+
+
+def _region_text(validation: Validation) -> str:
+    """Return the force converted to the body region, and its limit."""
+    if not validation.body_region:
+        return "none to compare"
+    force, limit = at_least(validation.region_force, 1), at_most(validation.limit_force, 1)
+    above = ", ABOVE" * validation.exceeds_limit
+    return f"{force} of {limit} N, {validation.body_region.replace('_', ' ')}{above}"
 
 
 def _series_text(status: CellStatus) -> str:

@@ -23,7 +23,7 @@ import scipy  # loads scipy.optimize and scipy.special on first use; importing s
 
 from scara_effmass.impacts.impact_matcher import MatchedImpact
 from scara_effmass.iso15066 import Limit, force_per_root_stiffness, peak_force, reduced_mass
-from scara_effmass.values import FloatArray, Prediction
+from scara_effmass.values import FloatArray, Prediction, at_least, at_most
 
 LIMITS = 1.96
 """Half-width of the 95 % limits of agreement, in standard deviations (Bland and Altman 1986)."""
@@ -456,7 +456,8 @@ def comparison_text(impact: _Compared) -> str:
     """Return the force on a body region, converted from the measured peak, and what stayed, each with its limit."""
 
     def compared(force: float, region: str, limit: float) -> str:
-        return f"{force:.1f} N on {region}, {'ABOVE' if force > limit else 'below'} its limit of {limit:.1f} N"
+        side = "ABOVE" if force > limit else "below"
+        return f"{at_least(force, 1)} N on {region}, {side} its limit of {at_most(limit, 1)} N"
 
     if not impact.body_region:
         return "not converted to a body region"

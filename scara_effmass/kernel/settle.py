@@ -33,7 +33,7 @@ UNKNOWN, OK, WARN, VIOLATION = int(Verdict.UNKNOWN), int(Verdict.OK), int(Verdic
 WORST_FIRST = UNKNOWN, VIOLATION, WARN
 
 
-severity = inlined(values.severity)
+severity, limit_share = inlined(values.severity), inlined(values.limit_share)
 
 
 @inlined
@@ -93,6 +93,16 @@ def latch(contacts: tuple[Contact, ...], memory: Memory) -> None:
 
 
 @inlined
+def is_worse(contact: Contact, other: Contact) -> bool:
+    """Return whether a contact has a worse verdict than another, or the same one and a larger share of its limit."""
+    worse = severity(int(contact.verdict)) - severity(int(other.verdict))
+    share = limit_share(contact.speed, contact.allowable_speed)
+    other_share = limit_share(other.speed, other.allowable_speed)
+    closer = share > other_share or (share == other_share and contact.margin < other.margin)
+    return worse > 0 or (worse == 0 and closer)
+
+
+@inlined
 def summarize(state: State, contacts: tuple[Contact, ...], reference_speed: float) -> None:
     """Write the worst verdict of all contacts, the smallest allowable speed, and the speed scaling."""
     state.allowable_speed, state.speed_scaling, state.contact = math.inf, 1.0, 0
@@ -105,9 +115,7 @@ def summarize(state: State, contacts: tuple[Contact, ...], reference_speed: floa
             state.speed_scaling = 0.0
         elif speed > allowed:
             state.speed_scaling = min(state.speed_scaling, allowed / speed)
-        worst = contacts[state.contact]
-        worse = severity(verdict) - severity(int(worst.verdict))
-        if worse > 0 or (worse == 0 and contact.margin < worst.margin):
+        if p > 0 and is_worse(contact, contacts[state.contact]):
             state.contact = p
     state.verdict = int(contacts[state.contact].verdict)
 

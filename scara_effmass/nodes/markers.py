@@ -109,8 +109,8 @@ def _label(contact: ContactAssessment, *, simulated: bool) -> str:
     title = f"{contact.contact_point or 'robot'}: {contact.verdict.name}{' (simulated)' * simulated}"
     if contact.verdict is Verdict.UNKNOWN:
         return f"{title}\n{contact.reason}"
-    speeds = f"{contact.speed:.2f} of {contact.allowable_speed:.2f} m/s"
-    return f"{title}\n{speeds}, {contact.effective_mass:.2f} kg ({contact.mass_model})\n{contact.reason}".strip()
+    numbers = f"{contact.speed_text}, {contact.effective_mass:.2f} kg ({contact.mass_model})"
+    return f"{title}\n{numbers}\n{contact.reason}".strip()
 
 
 def _arrow(namespace: str, index: int, color: str, width_m: float, at: FloatArray, vector: FloatArray) -> Marker:

@@ -16,7 +16,7 @@ from scara_effmass.safety import Cause, Monitor
 from scara_effmass.safety.assumptions import RULES, deciding_mass, name_of, scope
 from scara_effmass.safety.remedies import remedy
 from scara_effmass.settings import MassModel
-from scara_effmass.values import ContactAssessment, Decision, Verdict, severity
+from scara_effmass.values import ContactAssessment, Decision, Verdict, at_least, at_most, severity
 
 EDGES_US = (125, 250, 500, 1000, 2000, 4000, 8000, 16000)
 _MAX_RECENT = 10_000
@@ -159,7 +159,7 @@ def _model_status(monitor: Monitor) -> DiagnosticStatus:
 def contact_text(contact: ContactAssessment) -> str:
     """Return the assessment in one line: verdict, speed of allowable speed, body region, reason, remedy if UNKNOWN."""
     is_unknown = contact.verdict is Verdict.UNKNOWN
-    numbers = "" if is_unknown else f", {contact.speed:.3f} of {contact.allowable_speed:.3f} m/s, {contact.body_region}"
+    numbers = "" if is_unknown else f", {contact.speed_text}, {contact.body_region}"
     advice = f"{REMEDY}{remedy(contact.reason_code)}" * is_unknown
     return f"{contact.verdict.name}{numbers}{': ' * bool(contact.reason)}{contact.reason}{advice}"
 
@@ -167,9 +167,9 @@ def contact_text(contact: ContactAssessment) -> str:
 def _contact_status(contact: ContactAssessment, changes: int, input_age: float) -> DiagnosticStatus:
     values = {
         "verdict": contact.verdict.name,
-        "speed [m/s]": f"{contact.speed:.4f}",
-        "allowable speed [m/s]": f"{contact.allowable_speed:.4f}",
-        "margin [m/s]": f"{contact.margin:.4f}",
+        "speed [m/s]": at_least(contact.speed, 4),
+        "allowable speed [m/s]": at_most(contact.allowable_speed, 4),
+        "margin [m/s]": at_most(contact.margin, 4),
         "effective mass [kg]": f"{contact.effective_mass:.4g}",
         "mass model": contact.mass_model_text,
         "body region": contact.body_region,

@@ -13,7 +13,7 @@ from scara_effmass.model.lumping import lumped_suffices
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety.assumptions import Assumptions, scope
 from scara_effmass.settings import MonitorSettings
-from scara_effmass.values import FloatArray
+from scara_effmass.values import FloatArray, at_least, at_most
 
 NOT_DEFINITE = "the lumped mass matrix is singular or not positive definite at this pose"
 MASSLESS = "a joint moves the contact point, but no lumped mass"
@@ -50,7 +50,7 @@ TEXTS = {
     Reason.POSITION_NOT_FINITE: "the position of {joint} is {v[0]}",
     Reason.VELOCITY_NOT_FINITE: "the velocity of {joint} is {v[0]}",
     Reason.POSITION_LIMIT: "{joint} at {v[0]:.4f} {unit} lies outside its limits {v[1]:.4f} to {v[2]:.4f}",
-    Reason.SPEED_LIMIT: "{joint} at {v[0]:.4f} {unit}/s exceeds its maximum speed of {v[1]:.4f} {unit}/s",
+    Reason.SPEED_LIMIT: "{joint} at {speed} {unit}/s exceeds its maximum speed of {allowed} {unit}/s",
     Reason.VELOCITY_MISMATCH: "the position of {joint} is {v[0]:+.4f} {unit} off the integral of its velocity",
     Reason.UNCONFIRMED_ZERO: "the velocity of {joint} reads zero, not yet confirmed by its position",
     Reason.NO_COMMAND: "no joint command yet",
@@ -74,10 +74,10 @@ TEXTS = {
         "no {model} mass for every contact normal, because a joint moves no lumped mass: choose "
         "effective_mass_model auto or full, or contact_normal velocity"
     ),
-    Reason.TOO_FAST: "{v[0]:.3f} m/s is above the {v[1]:.3f} m/s that the {criterion} limit of {region} allows",
-    Reason.NEAR_LIMIT: "{v[0]:.3f} m/s is close to the {v[1]:.3f} m/s that the {criterion} limit of {region} allows",
+    Reason.TOO_FAST: "{speed} m/s is above the {allowed} m/s that the {criterion} limit of {region} allows",
+    Reason.NEAR_LIMIT: "{speed} m/s is close to the {allowed} m/s that the {criterion} limit of {region} allows",
     Reason.PERSON_TOO_FAST: (
-        "a person at {v[0]:.3f} m/s leaves no speed: the {criterion} limit of {region} allows {v[1]:.3f} m/s with the "
+        "a person at {speed} m/s leaves no speed: the {criterion} limit of {region} allows {allowed} m/s with the "
         "robot at rest: state a lower person_speed, its direction or other body_regions, or lower the moving mass"
     ),
     Reason.LIGHT_MODEL: "the {choice} mass of {v[4]:.3g} kg is below the {best} model's {v[5]:.3g} kg",
@@ -96,7 +96,10 @@ TEXTS = {
     Reason.MONITOR_SILENT: "the monitor is silent: no contact states for {v[0]:.1f} s",
     Reason.NO_CONTACT_STATES: "no contact states yet",
 }
-"""English text of each code: `v` are its numbers, `joint` and `unit` those of its joint, `detail` its own text."""
+"""English text of each code: `v` are its numbers, `joint` and `unit` those of its joint, `detail` its own text.
+
+Of a code about speeds, `speed` is the actual and `allowed` the allowed one.
+"""
 
 
 def plain_text(code: Reason, *values: float, detail: str = "") -> str:
@@ -178,6 +181,9 @@ class ReasonTexts:
         fields |= {"v": numbers, "detail": details[int(reason[DETAIL])]}
         fields |= {"joint": self.joints[joint], "unit": self.units[joint]}
         is_speed = code in {Reason.TOO_FAST, Reason.NEAR_LIMIT, Reason.PERSON_TOO_FAST}
+        if is_speed or code is Reason.SPEED_LIMIT:
+            digits = 3 if is_speed else 4
+            fields |= {"speed": at_least(numbers[0], digits), "allowed": at_most(numbers[1], digits)}
         if is_speed:
             fields |= {"criterion": CRITERIA[int(numbers[2])], "region": self.regions[int(numbers[3])]}
         elif code is Reason.NO_LUMPED_MASS:

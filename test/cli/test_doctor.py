@@ -50,6 +50,21 @@ def texts(result: dict[str, Any], level: str) -> dict[str, str]:
     return {finding["subject"]: finding["text"] for finding in result["findings"] if finding["level"] == level}
 
 
+def test_results_fit_into_80_columns_and_keep_their_words(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, result = run_doctor(capsys)
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("TERM", "dumb")
+    assert main(["doctor"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line for line in lines if len(line) > 80 and len(line.split()) > 1] == []
+    words = set(" ".join(lines).split())
+    assert {word for finding in result["findings"] for word in finding["text"].split()} <= words
+    assert len(lines) < 75
+
+
 def test_shipped_robot_is_healthy(capsys: pytest.CaptureFixture[str]) -> None:
     code, result = run_doctor(capsys)
     assert code == 0

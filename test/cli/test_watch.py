@@ -17,11 +17,11 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from scara_effmass.cell.status import CellStatus
+from scara_effmass.cell.status import CellStatus, Validation
 from scara_effmass.cli.displays import screen
 from scara_effmass.codes import Reason
 from scara_effmass.safety import unknown_contact
-from scara_effmass.values import Impact, Verdict
+from scara_effmass.values import Impact, SeriesStatistics, Verdict
 from test.decisions import decision_on
 from test.nodes.conftest import NodeHarness, joint_state
 
@@ -118,6 +118,26 @@ def test_screen_shows_impact_past_episode_and_simulation() -> None:
     assert "before: VIOLATION until 2 s ago, for 1.00 s: tool: 0.4 m/s is above" in text
     assert "last impact: peak 123.4 N, 2 s ago" in text
     assert "SIMULATED: force" in text
+
+
+def test_impact_is_shown_with_the_force_on_the_region_that_its_limit_is_for() -> None:
+    cell, none = status(Verdict.OK), (0.0, 0.0)
+    series = SeriesStatistics(
+        1, *(0.9, 1e5, 0.0, 1.0), 0, 1.0, none, 1.0, none, 0.1, 0.5, none, 0.0, *(1, False, False, "")
+    )
+    numbers = 250.0, 291.0, -0.1, 2.0, 0.25, False
+    for number, (force, limit, is_above, words) in enumerate(
+        [
+            (225.32, 260.0, False, "converted 225.4 N on chest, below its limit of 260.0 N"),
+            (301.2, 260.0, True, "converted 301.2 N on chest, ABOVE its limit of 260.0 N"),
+        ]
+    ):
+        cell.take_impact(
+            Impact(number, "cell", 291.0, *(2e-3, 0.3, 0.0, False, False, 0, 0.0, 0.1, 1e-4, "t", True)), S
+        )
+        cell.take_validation(Validation(number, *numbers, "chest", force, limit, is_above, series))
+        text = " ".join(lines(cell, 6 * S, 160, 40))
+        assert f"last impact: peak 291.0 N, 5 s ago, predicted 250.0 N; {words}" in text
 
 
 def test_watch_refuses_a_pipe(refused: Callable[..., str]) -> None:

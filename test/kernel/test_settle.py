@@ -15,7 +15,7 @@ from scara_effmass.codes import Reason
 from scara_effmass.kernel.records import CONTACT
 from scara_effmass.kernel.settle import settle
 from scara_effmass.kernel.state import CODE, DEBOUNCE, HELD, MEMORY, RULES, STATE, VALUES
-from scara_effmass.values import Verdict, severity
+from scara_effmass.values import Verdict, limit_share, severity
 
 RELEASE_NS = 100
 NO_REASON = -1
@@ -194,6 +194,28 @@ def test_zero_release_time_holds_nothing() -> None:
     assert settler.update(Verdict.OK, 5000, stale=True) == (Verdict.OK, NO_REASON, False)
     settler.update(Verdict.VIOLATION, 5001)
     assert settler.update(Verdict.OK, 5002) == (Verdict.OK, NO_REASON, False)
+
+
+contacts_of_a_state = st.lists(
+    st.tuples(verdicts, st.floats(0.0, 2.0), st.just(0.0) | st.floats(0.01, 2.0)), min_size=1, max_size=4
+)
+
+
+@given(contacts_of_a_state)
+@example([(Verdict.OK, 0.9, 1.0), (Verdict.OK, 0.01, 0.02)])
+@example([(Verdict.VIOLATION, 0.25, 0.045), (Verdict.VIOLATION, 1.5, 1.0)])
+def test_the_contact_that_decides_has_the_largest_share_of_its_limit(rows: list[tuple[Verdict, float, float]]) -> None:
+    states, contacts = np.zeros(1, STATE), np.zeros((1, len(rows), 1), CONTACT)
+    states["stamp_ns"], states["is_admitted"] = 1000, 1
+    for contact, row in zip(contacts[0, :, 0], rows, strict=True):
+        contact["verdict"], contact["speed"], contact["allowable_speed"] = row
+        contact["margin"] = row[2] - row[1]
+    memory = np.zeros(1, RULES), np.zeros(1, MEMORY), np.zeros(len(rows), DEBOUNCE)
+    numbers = contacts.view(np.float64).reshape(1, len(rows), -1)
+    unknown = np.zeros(1, CONTACT).view(np.float64)
+    settle(states.view(np.uint8), numbers, unknown, *(array.view(np.uint8) for array in memory))
+    worst = max(rows, key=lambda row: (severity(row[0]), limit_share(row[1], row[2]), row[1] - row[2]))
+    assert rows[int(states["contact"][0])] == worst
 
 
 def test_clock_that_jumps_back_discards_held_verdicts() -> None:

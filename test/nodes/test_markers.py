@@ -129,7 +129,7 @@ def test_verdict_is_a_word_and_a_colour_of_its_own(verdict: Verdict) -> None:
         assert color.r == color.g == color.b  # grey
     else:
         assert markers["mass_ellipsoid"].color.g == markers["velocity"].color.g == color.g
-        assert f"{contact.speed:.2f} of {contact.allowable_speed:.2f} m/s" in text
+        assert contact.speed_text in text
 
 
 def test_contact_point_without_a_place_has_its_word_above_the_base() -> None:

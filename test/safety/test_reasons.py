@@ -88,6 +88,7 @@ def test_robot_without_inertias_or_a_lumped_model_says_why(
         (Reason.NONE, (), ""),
         (Reason.TOO_FAST, SPEEDS, "1.500 m/s is above the 0.750 m/s that the force limit of {} allows"),
         (Reason.NEAR_LIMIT, SPEEDS, "1.500 m/s is close to the 0.750 m/s that the force limit of {} allows"),
+        (Reason.TOO_FAST, (0.2501, 0.0459, 1.0, 1.0), "0.251 m/s is above the 0.045 m/s that the force limit of {}"),
         (Reason.TOO_FAST, (1.5, 0.0, 2.0, 1.0), "1.500 m/s is above the 0.000 m/s that the pressure"),
         (
             Reason.LIGHT_MODEL,
