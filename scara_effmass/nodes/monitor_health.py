@@ -10,6 +10,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from scara_effmass.iso15066 import EDITION, TABLE_HASH
 from scara_effmass.nodes.diagnostics import status
+from scara_effmass.nodes.robot_input import label
 from scara_effmass.nodes.terminal import CHANGES, REASON_CODE, REMEDY
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Cause, Monitor
@@ -129,7 +130,7 @@ def cause_text(cause: Cause) -> str:
 def _model_status(monitor: Monitor) -> DiagnosticStatus:
     dynamics, robot, cause = monitor.dynamics, monitor.dynamics.robot, monitor.first_cause
     values = {
-        "robot": robot.origin,
+        "robot": label(robot),
         "joints": ", ".join(robot.joint_names),
         "effective_mass_model": monitor.settings.effective_mass_model.value,
         "lumped mass": dynamics.lumped_reason or "available",
