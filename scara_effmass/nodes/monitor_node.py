@@ -383,7 +383,7 @@ class MonitorNode(LifecycleBase):
 
     def _check_clock(self) -> None:
         """Trust /clock only while it has one publisher."""
-        count = self.count_publishers(topics.CLOCK) if self.get_clock().ros_time_is_active else 0
+        count = self.count_publishers(topics.CLOCK) if self.get_parameter("use_sim_time").value else 0
         reason = f"{count} publishers of {topics.CLOCK}: must be one" if count > 1 else ""
         with self._monitor_lock:
             if self._monitor is not None:

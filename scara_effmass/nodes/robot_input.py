@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from hashlib import sha256
 
+from rclpy.event_handler import QoSSubscriptionMatchedInfo
 from rclpy.qos import DurabilityPolicy
 from std_msgs.msg import String
 
@@ -73,8 +74,11 @@ class _DescriptionInput:
             topics.ROBOT_DESCRIPTION,
             self._on_description,
             topics.DESCRIPTION_QOS,
-            matched=lambda _: self._has_several(),
+            matched=self._on_matched,
         )
+
+    def _on_matched(self, _: QoSSubscriptionMatchedInfo) -> None:
+        self._has_several()
 
     def _has_several(self) -> bool:
         """Return whether several publishers can reach this node, and distrust them."""

@@ -45,8 +45,11 @@ class Arm:
     def __init__(self, harness: NodeHarness) -> None:
         self.harness = harness
         self.logged: list[str] = []
-        harness.node.create_subscription(Log, "/rosout", lambda message: self.logged.append(message.msg), INFO)
+        harness.node.create_subscription(Log, "/rosout", self.on_log, INFO)
         harness.subscribe()
+
+    def on_log(self, message: Log) -> None:
+        self.logged.append(message.msg)
 
     def describe(self, text: str) -> Publisher:
         publisher = self.harness.node.create_publisher(String, "robot_description", LATCHED)
