@@ -103,11 +103,15 @@ def input_status(
     received: int,
     incompatible_qos: Collection[str],
     latencies: Latencies,
+    has_conflict: bool = False,
 ) -> DiagnosticStatus:
-    """Return the status of the joint states; `unheard` is a warning that they have no publisher."""
+    """Return the status of the joint states; `unheard` is a warning that they have no publisher.
+
+    `has_conflict`: two publishers have sent the robot's joints. Without it, one that sends other joints is no problem.
+    """
     incompatible = "; ".join(sorted(incompatible_qos))
     problem = incompatible or unheard
-    if publishers > 1:
+    if has_conflict or (publishers > 1 and not (monitor and monitor.ignored)):
         problem = f"{publishers} publishers of joint states: only one may send the robot's joints"
     values = {
         "publishers": publishers,

@@ -351,6 +351,8 @@ class MonitorNode(LifecycleBase):
         self._reported_ns = time.monotonic_ns()
         with self._output_lock:
             changes, self._changes = self._changes, []
+        decision = self._latest.decision(0) if self._latest else None
+        contacts = worst_contacts(decision, changes) if decision else ()
         joint_states = input_status(
             self._monitor,
             publishers=self.count_publishers(self._joint_states.topic_name),
@@ -358,9 +360,8 @@ class MonitorNode(LifecycleBase):
             received=self._received,
             incompatible_qos=self.incompatible_qos,
             latencies=self._latencies,
+            has_conflict=any(contact.reason_code is Reason.SECOND_PUBLISHER for contact in contacts),
         )
-        decision = self._latest.decision(0) if self._latest else None
-        contacts = worst_contacts(decision, changes) if decision else ()
         input_age = decision.input_age if decision else 0.0
         return monitor_statuses(self._monitor, contacts, self._change_counts, input_age, joint_states)
 
