@@ -46,7 +46,7 @@ ARGUMENTS = (
     DeclareLaunchArgument(
         "use_sim_time",
         default_value="",
-        choices=["", "true", "false"],
+        choices=["", "true", "false", "True", "False"],
         description="take the time from /clock; empty: as the including launch file says, true with replay",
     ),
     DeclareLaunchArgument(
@@ -145,7 +145,7 @@ def _node(
 ) -> Node:
     parameters: list[str | dict[str, str | bool]] = []
     if arguments["use_sim_time"]:  # else the parent's SetParameter("use_sim_time", ...) holds
-        parameters.append({"use_sim_time": arguments["use_sim_time"] == "true"})
+        parameters.append({"use_sim_time": arguments["use_sim_time"].lower() == "true"})
     if arguments["params_file"] and command is None:
         parameters.append(arguments["params_file"])
     plays_once = executable == "daq_node" and arguments["source"] == "bag"

@@ -29,6 +29,7 @@ class Reason(IntEnum):
     REPEATED_STAMP = 24
     BACKWARD_STAMP = 25  # values: step back [s]
     COARSE_CLOCK = 26  # values: lead, step of /clock [s]
+    TWO_PUBLISHERS = 27  # detail: of which topic
     POSITION_NOT_FINITE = 30  # joint; values: position
     VELOCITY_NOT_FINITE = 31  # joint; values: velocity
     POSITION_LIMIT = 32  # joint; values: position, lower, upper limit

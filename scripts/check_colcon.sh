@@ -62,8 +62,22 @@ rclpy.shutdown()
 PYTHON
 )
 
+# A workspace with another package: with the link of README.md, plain colcon finds all of them.
+check_list() {
+    other=$work/workspace/src/other
+    mkdir -p "$other"
+    sed "s/<name>scara_effmass_msgs/<name>other/" msg_schemas/package.xml > "$other/package.xml"
+    cp msg_schemas/CMakeLists.txt "$other"
+    ln -s "$PWD" "$work/workspace/src/scara_effmass"
+    ln -s scara_effmass/msg_schemas "$work/workspace/src/scara_effmass_msgs"
+    names=$(cd "$work/workspace" && colcon --log-base /dev/null list --names-only | sort | tr '\n' ' ')
+    [ "$names" = "other scara_effmass scara_effmass_msgs " ] || { echo "colcon list: found $names" >&2; exit 1; }
+    rm -rf "$work/workspace"
+}
+
 rm -rf "$work"
 mkdir -p "$(dirname "$work")"
+check_list
 for option in "" --symlink-install; do
     build $option
     check

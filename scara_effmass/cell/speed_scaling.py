@@ -16,6 +16,10 @@ from collections import deque
 
 from scara_effmass.values import Decision, Verdict
 
+OBEY_NS = 1_000_000_000
+"""Time within which a controller that obeys has slowed the robot down."""
+MAX_PROGRAMMED_SPEED = 20.0
+"""Speed [m/s] that no robot is programmed for."""
 MAX_RATIO = 1e6
 """Of allowable and measured speed; larger ones count as this."""
 
@@ -38,6 +42,9 @@ class SpeedScaler:
         """Share of the allowable speed to use."""
         self.reason = "no contact states yet"
         """Why the factor is 0; empty if it may rise."""
+        self.disobedience = ""
+        """Why the controller does not seem to obey the factor; empty if it may."""
+        self._obeyed_ns = now_ns
         self._taken_ns = now_ns
         self._bound = 0.0
         """Factor up to which the last decision lets the factor rise."""
@@ -58,12 +65,13 @@ class SpeedScaler:
         refusal = _refusal(decision)
         if not refusal and age_ns > self.timeout_ns:
             refusal = f"the joint state is {age_ns / 1e9:.3f} s old"
+        # A contact point at rest says nothing about the programmed speed.
+        moving = [one for one in decision.contacts if one.speed > 0.0 and not one.worst_direction_used]
+        self._judge_controller(max((one.speed for one in moving), default=0.0), now_ns, age_ns)
         if refusal:
             self.stop(refusal)
         else:
             self.reason = ""
-            # A contact point at rest says nothing about the programmed speed.
-            moving = [one for one in decision.contacts if one.speed > 0.0 and not one.worst_direction_used]
             self._bound = 1.0
             if moving:
                 ratio = min(MAX_RATIO, *(self.speed_ratio * one.allowable_speed / one.speed for one in moving))
@@ -84,6 +92,14 @@ class SpeedScaler:
         while self._sent[1][0] < now_ns - self.timeout_ns - self.latency_ns:
             self._sent.popleft()
         return self._factor
+
+    def _judge_controller(self, speed: float, now_ns: int, age_ns: int) -> None:
+        """Doubt a controller under which the robot goes on at a `speed` that the factor in force does not explain."""
+        factor = max(self._in_force(now_ns - max(age_ns, 0)))
+        if not speed > factor * MAX_PROGRAMMED_SPEED:
+            self._obeyed_ns, self.disobedience = now_ns, ""
+        elif now_ns - self._obeyed_ns > OBEY_NS:
+            self.disobedience = f"the robot moves at {speed:.2f} m/s at a factor of {factor:.2g}: nothing obeys it"
 
     def _in_force(self, measured_ns: int) -> list[float]:
         """Return the factors of which one was in force at `measured_ns`."""

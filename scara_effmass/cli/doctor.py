@@ -12,6 +12,7 @@ from contextlib import suppress
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -132,6 +133,22 @@ def _environment() -> Iterator[CheckResult]:
         yield CheckResult("note", name, f"{discovery_range}; {hint}")
     else:
         yield CheckResult("ok", name, discovery_range)
+    yield _log_folder()
+
+
+def _log_folder() -> CheckResult:
+    """Check that ROS finds a folder for the log; without one, no node starts."""
+    name, remedy = "ROS_LOG_DIR", "must be a folder that can be written"
+    try:
+        folder = Path(str(import_module("rclpy.logging").get_logging_directory()))
+        existing = next(path for path in (folder, *folder.parents) if path.exists())
+        with TemporaryDirectory(dir=existing):
+            pass
+    except OSError as error:
+        return CheckResult("wrong", name, f"{folder}: {error.strerror}: no node can write its log there: {remedy}")
+    except Exception as error:  # noqa: BLE001 - as of `_installation`
+        return CheckResult("wrong", name, f"{' '.join(str(error).split())}: {remedy}")
+    return CheckResult("ok", name, f"{os.environ.get(name) or 'not set'}: logs go to {folder}")
 
 
 def _daq(params: Path | None) -> Iterator[CheckResult]:

@@ -291,10 +291,10 @@ def admit(
             memory.rejected += 1
             if state.stamp_ns <= 0:
                 state.stamp_ns = state.now_ns
-        elif rules.payload_detail != 0:
+        elif rules.distrusted_code != 0:
             state.is_admitted = 0
-            set_reason(state.reason, Reason.PAYLOAD_UNKNOWN, 0, 0.0, 0.0, 0.0)
-            state.reason[DETAIL] = rules.payload_detail
+            set_reason(state.reason, Reason.TWO_PUBLISHERS, 0, 0.0, 0.0, 0.0)
+            state.reason[CODE], state.reason[DETAIL] = rules.distrusted_code, rules.distrusted_detail
 
 
 @compiled

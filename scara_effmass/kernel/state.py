@@ -46,7 +46,8 @@ class State:
 class Rules:
     """Settings of admission, debouncing and latch.
 
-    `payload_detail`: the text why the payload is unknown, 0 if not. `is_assumed`: an assumption allows no OK.
+    `distrusted_code` and `distrusted_detail`: the reason why an input is not trusted, 0 if all are. `is_assumed`: an
+    assumption allows no OK.
     """
 
     timeout_ns: int
@@ -55,7 +56,8 @@ class Rules:
     velocity_tolerance: float
     max_lag: float
     expects_commands: bool
-    payload_detail: int
+    distrusted_code: int
+    distrusted_detail: int
     release_ns: int
     latches: bool
     reference_speed: float

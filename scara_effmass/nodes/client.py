@@ -20,6 +20,7 @@ from rclpy.signals import SignalHandlerOptions
 from typing_extensions import Self
 
 from scara_effmass.errors import SettingsError
+from scara_effmass.nodes.process import END_SIGNALS, catch, start_refusal
 
 _SPIN_SLICE_S = 0.1
 _SPIN_LIMIT_S = 1e9
@@ -39,7 +40,7 @@ def spin_for(executor: Executor, seconds: float, done: Callable[[], bool] = bool
 class ClientNode:
     """Plain node with its own ROS context and executor, all in the calling thread. Use it in a `with`.
 
-    In the main thread, SIGINT and SIGTERM are collected in `signals` and not handled: the executor would log an
+    In the main thread, END_SIGNALS are collected in `signals` and not handled: the executor would log an
     exception that a handler raises in a callback. The node has no services and no log topic.
     """
 
@@ -50,15 +51,15 @@ class ClientNode:
         """Handlers of the signals outside the `with`."""
         with ExitStack() as stack:
             if threading.current_thread() is threading.main_thread():
-                for number in (signal.SIGINT, signal.SIGTERM):
-                    self.handlers[number] = signal.signal(number, self._on_signal)
+                for number in END_SIGNALS:
+                    self.handlers[number] = catch(number, self._on_signal)
                     stack.callback(signal.signal, number, self.handlers[number])
             self.context = Context()
             stack.callback(self.context.try_shutdown)
             try:
                 rclpy.init(args=list(arguments), context=self.context, signal_handler_options=SignalHandlerOptions.NO)
             except RuntimeError as error:
-                raise SettingsError(f"ROS arguments: {' '.join(str(error).split())}") from None
+                raise start_refusal(error) from None
             try:
                 self.node = Node(
                     name,

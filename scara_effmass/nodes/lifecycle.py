@@ -35,7 +35,13 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher, State, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSPolicyKind, qos_policy_name_from_kind
+from rclpy.qos import (
+    QoSCompatibility,
+    QoSPolicyKind,
+    QoSProfile,
+    qos_check_compatible,
+    qos_policy_name_from_kind,
+)
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
@@ -47,6 +53,7 @@ from std_srvs.srv import Trigger
 from scara_effmass.codes import Reason
 from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.nodes import parameters
+from scara_effmass.nodes.process import END_SIGNALS, catch, one_line, start_refusal
 from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.nodes.readiness import PERIOD_S, readiness_reporter
 from scara_effmass.nodes.realtime import use_realtime
@@ -91,13 +98,13 @@ class LifecycleBase(LifecycleNode):
         except REFUSALS as error:  # such as security that the middleware does not have
             if not rclpy.ok():  # a signal has ended ROS meanwhile
                 raise
-            raise SettingsError(f"{name}: {_reason(error)}") from None
+            raise SettingsError(f"{name}: {one_line(error)}") from None
         self.autostart = True
         self.active = False
         self.stopping = threading.Event()
         """Set by a signal that ends the process, so that a transition can stop waiting."""
-        self.incompatible_qos: set[str] = set()
-        """One line for each endpoint that cannot be connected, and its QoS policy that does not fit."""
+        self._mismatches: dict[str, Callable[[], bool]] = {}
+        """Whether each line of `incompatible_qos` still holds."""
         self.fixed_parameters: Sequence[str] = ()
         """Parameters that can change only while the node is unconfigured."""
         self._is_starting = False
@@ -158,12 +165,17 @@ class LifecycleBase(LifecycleNode):
 
     def create_owned_publisher(self, message_type: type, topic: str, qos: Qos) -> LifecyclePublisher:
         """Return a publisher whose QoS parameters may override."""
+
+        def has_mismatch() -> bool:
+            others = self.get_subscriptions_info_by_topic(publisher.topic_name)
+            return any(not _fit(publisher.qos_profile, other.qos_profile) for other in others)
+
         publisher: LifecyclePublisher = self.create_lifecycle_publisher(
             message_type,
             topic,
             qos_profile(qos),
             event_callbacks=PublisherEventCallbacks(
-                incompatible_qos=partial(self._on_incompatible, f"a subscriber of {topic}")
+                incompatible_qos=partial(self._on_incompatible, f"a subscriber of {topic}", has_mismatch)
             ),
             qos_overriding_options=QoSOverridingOptions(_PUBLISHER_OVERRIDES),
         )
@@ -195,6 +207,10 @@ class LifecycleBase(LifecycleNode):
             if matched is not None:
                 matched(info)
 
+        def has_mismatch() -> bool:
+            others = self.get_publishers_info_by_topic(subscription.topic_name)
+            return any(not _fit(other.qos_profile, subscription.qos_profile) for other in others)
+
         subscription = self.create_subscription(
             message_type,
             topic,
@@ -202,7 +218,7 @@ class LifecycleBase(LifecycleNode):
             qos_profile(qos),
             raw=raw,
             event_callbacks=SubscriptionEventCallbacks(
-                incompatible_qos=partial(self._on_incompatible, f"a publisher of {topic}"),
+                incompatible_qos=partial(self._on_incompatible, f"a publisher of {topic}", has_mismatch),
                 matched=on_matched,
                 **events,
             ),
@@ -312,7 +328,7 @@ class LifecycleBase(LifecycleNode):
             if "QoS override" in str(error):  # rclpy rejected a parameter
                 self._transition_error = SettingsError(f"{self.get_name()}: qos_overrides: {error}")
             elif isinstance(error, REFUSALS) and self.context.ok():  # else a signal has ended it meanwhile
-                self._transition_error = SettingsError(f"{self.get_name()}: {_reason(error)}")
+                self._transition_error = SettingsError(f"{self.get_name()}: {one_line(error)}")
             undo()
             return TransitionCallbackReturn.FAILURE
         return None
@@ -327,11 +343,19 @@ class LifecycleBase(LifecycleNode):
         self.set_read_only(read_only=False)
         self.deactivate()
         self._owned.close()
-        self.incompatible_qos.clear()
+        self._mismatches.clear()
 
-    def _on_incompatible(self, endpoint: str, event: QoSRequestedIncompatibleQoSInfo) -> None:
+    @property
+    def incompatible_qos(self) -> set[str]:
+        """One line for each kind of endpoint that cannot be connected now, and its QoS policy that does not fit."""
+        self._mismatches = {line: persists for line, persists in self._mismatches.items() if persists()}
+        return set(self._mismatches)
+
+    def _on_incompatible(
+        self, endpoint: str, has_mismatch: Callable[[], bool], event: QoSRequestedIncompatibleQoSInfo
+    ) -> None:
         line = f"{endpoint} cannot be connected: its {qos_policy_name_from_kind(event.last_policy_kind)} does not fit"
-        self.incompatible_qos.add(line)
+        self._mismatches[line] = has_mismatch
         self.get_logger().warning(line)
 
     def _on_change_state(self, request: ChangeState.Request, response: ChangeState.Response) -> ChangeState.Response:
@@ -346,6 +370,11 @@ class LifecycleBase(LifecycleNode):
             self.get_logger().error(str(self._transition_error))
             self._transition_error = None
         return response
+
+
+def _fit(publisher: QoSProfile, subscriber: QoSProfile) -> bool:
+    compatibility, _ = qos_check_compatible(publisher, subscriber)
+    return compatibility is not QoSCompatibility.ERROR
 
 
 def with_info(callback: Callable[[bytes, dict[str, Any]], None]) -> Callable[..., None]:
@@ -476,15 +505,15 @@ def _stderr_that_never_blocks() -> Iterator[int]:
 
 @contextmanager
 def _on_signal(stop: Callable[[], None]) -> Iterator[None]:
-    """Call `stop` in a thread of its own at the first SIGINT or SIGTERM; further ones do nothing.
+    """Call `stop` in a thread of its own at the first of END_SIGNALS; further ones do nothing.
 
     rclpy would end the context at once, before a last message. A handler in Python would not run while the executor
     waits or a callback takes long.
     """
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: None)
+    for number in END_SIGNALS:
+        catch(number, lambda *_: None)
     signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
 
     def await_signal() -> None:
@@ -545,10 +574,6 @@ def _end(node: LifecycleBase | None, executor: Executor | None) -> None:
     rclpy.try_shutdown()
 
 
-def _reason(error: Exception) -> str:
-    return " ".join(str(error).split()).partition(", at /")[0].removesuffix(" ^")
-
-
 def _init(arguments: list[str]) -> None:
     """Initialise ROS. Raises SettingsError for unknown arguments."""
     for option, assignment in pairwise(arguments):
@@ -562,6 +587,6 @@ def _init(arguments: list[str]) -> None:
         _, unknown = parser.parse_known_args(remove_ros_args(arguments))
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
-        raise SettingsError(f"ROS arguments: {_reason(error)}") from None
+        raise start_refusal(error) from None
     if unknown:
         raise SettingsError(f"{unknown[0]!r}: unknown argument; ROS arguments must follow --ros-args")

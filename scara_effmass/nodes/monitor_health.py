@@ -10,6 +10,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from scara_effmass.iso15066 import EDITION, TABLE_HASH
 from scara_effmass.nodes.diagnostics import status
+from scara_effmass.nodes.robot_input import label
 from scara_effmass.nodes.terminal import CHANGES, REASON_CODE, REMEDY
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Cause, Monitor
@@ -102,11 +103,15 @@ def input_status(
     received: int,
     incompatible_qos: Collection[str],
     latencies: Latencies,
+    has_conflict: bool = False,
 ) -> DiagnosticStatus:
-    """Return the status of the joint states; `unheard` is a warning that they have no publisher."""
+    """Return the status of the joint states; `unheard` is a warning that they have no publisher.
+
+    `has_conflict`: two publishers have sent the robot's joints. Without it, one that sends other joints is no problem.
+    """
     incompatible = "; ".join(sorted(incompatible_qos))
     problem = incompatible or unheard
-    if publishers > 1:
+    if has_conflict or (publishers > 1 and not (monitor and monitor.ignored)):
         problem = f"{publishers} publishers of joint states: only one may send the robot's joints"
     values = {
         "publishers": publishers,
@@ -129,7 +134,7 @@ def cause_text(cause: Cause) -> str:
 def _model_status(monitor: Monitor) -> DiagnosticStatus:
     dynamics, robot, cause = monitor.dynamics, monitor.dynamics.robot, monitor.first_cause
     values = {
-        "robot": robot.origin,
+        "robot": label(robot),
         "joints": ", ".join(robot.joint_names),
         "effective_mass_model": monitor.settings.effective_mass_model.value,
         "lumped mass": dynamics.lumped_reason or "available",

@@ -36,7 +36,7 @@ from scara_effmass.nodes.monitor_health import (
     monitor_statuses,
     worst_contacts,
 )
-from scara_effmass.nodes.robot_input import use_robot
+from scara_effmass.nodes.robot_input import NO_DESCRIPTION, label, use_robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Assessments, Cause, Monitor, unknown_assessments
 from scara_effmass.safety.assumptions import RULES, deciding_mass, name_of
@@ -52,6 +52,7 @@ _WATCHDOG_CHECKS_PER_TIMEOUT = 4
 _MIN_WATCHDOG_PERIOD_S = 1e-3
 _ACK_TIMEOUT = Duration(seconds=0.5)
 _MIN_REPORT_INTERVAL_NS = 100_000_000
+_CLOCK_CHECK_S = 0.1
 
 
 class NodeSettings(parameters.NodeParameters, MonitorSettings):
@@ -108,7 +109,7 @@ class MonitorNode(LifecycleBase):
         self._no_robot_reason = ""
         self._payload: Payload | str = ""
         self._payload_publishers = 0
-        use_robot(self, lambda: self._settings, self._use_robot, self._refuse_robot)
+        use_robot(self, lambda: self._settings, self._use_robot, self._refuse_robot, self._distrust_robot)
         qos = topics.verdict_qos(self._settings.timeout)
         scalar_qos = qos._replace(lifespan_s=topics.SCALAR_LIFESPAN_S)
         for message_type, topic, topic_qos in (
@@ -129,7 +130,7 @@ class MonitorNode(LifecycleBase):
         if self._settings.command_tolerance:
             self._command_decoder = JointStateDecoder()
             self.create_owned_subscription(
-                JointState, topics.JOINT_COMMANDS, self._on_command, topics.JOINT_STATES_INPUT_QOS, raw=True
+                JointState, topics.JOINT_COMMANDS, with_info(self._on_command), topics.JOINT_STATES_INPUT_QOS, raw=True
             )
         if topic := self._settings.payload_topic:
             self.create_owned_subscription(
@@ -141,6 +142,7 @@ class MonitorNode(LifecycleBase):
                 matched=self._on_payload_publishers,
             )
         self.create_owned_trigger("~/reset", self._reset)
+        self.create_steady_timer(_CLOCK_CHECK_S, self._check_clock)
         every_step = JumpThreshold(min_forward=Duration(nanoseconds=1), min_backward=Duration(nanoseconds=-1))
         jump = self.get_clock().create_jump_callback(every_step, post_callback=self._on_clock_jump)
         self.own(jump, JumpHandle.unregister)
@@ -189,13 +191,20 @@ class MonitorNode(LifecycleBase):
         if self._settings.command_tolerance:
             monitor.expect_commands(self._settings.command_tolerance)
         with self._monitor_lock:
+            doubt = "" if self._no_robot_reason == NO_DESCRIPTION else self._no_robot_reason
+            if self._monitor is not None:
+                doubt = f"the robot changed from {label(self._monitor.dynamics.robot)} to {label(robot)}"
+                self.get_logger().warning(doubt)
+                self._give_unknown(self._monitor, doubt)  # a cause for `latch`
             self._drop_monitor()
             monitor.first_cause = self._first_cause
+            if doubt:
+                self._give_unknown(monitor, doubt)  # which is held for the release time
             self._monitor = monitor
             self._pass_payload()
             self._encoder.frame_id = robot.base_frame
             self._no_robot_reason = ""
-        self.get_logger().info(f"monitoring {robot.name} ({robot.origin}) at {', '.join(dynamics.contact_points)}")
+        self.get_logger().info(f"monitoring {label(robot)} at {', '.join(dynamics.contact_points)}")
         self._log_assumptions(monitor)
         mass = deciding_mass(dynamics, self._settings.effective_mass_model)
         self.get_logger().info(f"deciding mass: {mass}; payload: {monitor.payload_text}")
@@ -238,11 +247,12 @@ class MonitorNode(LifecycleBase):
                 received_ns = info["received_timestamp"]
                 self._latencies.add(time.time_ns() - received_ns, int(assessments.states["stamp_ns"][0]))
 
-    def _on_command(self, data: bytes) -> None:
+    def _on_command(self, data: bytes, info: dict[str, Any]) -> None:
         with self._monitor_lock:
             if self._monitor is not None:
                 with suppress(DecodeError):
-                    self._monitor.take_command(self._command_decoder.decode(data), self.now_ns())
+                    command, number = self._command_decoder.decode(data), info["publication_sequence_number"]
+                    self._monitor.take_command(command, self.now_ns(), number)
 
     def _on_payload(self, data: bytes) -> None:
         if self._payload_publishers <= 1:
@@ -341,6 +351,8 @@ class MonitorNode(LifecycleBase):
         self._reported_ns = time.monotonic_ns()
         with self._output_lock:
             changes, self._changes = self._changes, []
+        decision = self._latest.decision(0) if self._latest else None
+        contacts = worst_contacts(decision, changes) if decision else ()
         joint_states = input_status(
             self._monitor,
             publishers=self.count_publishers(self._joint_states.topic_name),
@@ -348,9 +360,8 @@ class MonitorNode(LifecycleBase):
             received=self._received,
             incompatible_qos=self.incompatible_qos,
             latencies=self._latencies,
+            has_conflict=any(contact.reason_code is Reason.SECOND_PUBLISHER for contact in contacts),
         )
-        decision = self._latest.decision(0) if self._latest else None
-        contacts = worst_contacts(decision, changes) if decision else ()
         input_age = decision.input_age if decision else 0.0
         return monitor_statuses(self._monitor, contacts, self._change_counts, input_age, joint_states)
 
@@ -358,9 +369,26 @@ class MonitorNode(LifecycleBase):
         with self._monitor_lock:
             self._no_robot_reason = reason
             if self._monitor is not None:
-                # A cause for `latch`.
-                self._monitor.settle(self._monitor.refuse(Reason.NO_ROBOT, reason, self.now_ns()))
+                self._give_unknown(self._monitor, reason)  # a cause for `latch`
             self._drop_monitor()
+
+    def _give_unknown(self, monitor: Monitor, reason: str) -> None:
+        monitor.settle(monitor.refuse(Reason.NO_ROBOT, reason, self.now_ns()))
+
+    def _distrust_robot(self, reason: str) -> None:
+        with self._monitor_lock:
+            if self._monitor is not None:
+                self._monitor.distrust(topics.ROBOT_DESCRIPTION, reason)
+            elif reason:
+                self._no_robot_reason = reason
+
+    def _check_clock(self) -> None:
+        """Trust /clock only while it has one publisher."""
+        count = self.count_publishers(topics.CLOCK) if self.get_parameter("use_sim_time").value else 0
+        reason = f"{count} publishers of {topics.CLOCK}: must be one" if count > 1 else ""
+        with self._monitor_lock:
+            if self._monitor is not None:
+                self._monitor.distrust(topics.CLOCK, reason)
 
     def _reset(self) -> str:
         with self._monitor_lock:

@@ -45,8 +45,8 @@ class NodeParameters(FrozenSettings):
 def declare(node: Node, settings: type[Settings]) -> Settings:
     """Declare every field of `settings` on `node` and return the settings: overrides or defaults.
 
-    Raises SettingsError for an unknown parameter and for a value of the wrong type or range. Those of other nodes under
-    `/**` of a parameter file are ignored with a warning.
+    Raises SettingsError for an unknown parameter and for a value of the wrong type or range. Those that are stated for
+    all nodes and resemble none of this one are ignored with a warning.
     """
     # A private attribute, because automatically_declare_parameters_from_overrides raises on an empty list.
     overrides: dict[str, Parameter] = node._parameter_overrides  # noqa: SLF001
@@ -79,11 +79,15 @@ def changed_settings(current: Settings, changes: Sequence[Parameter], node: str)
 
 
 def _shared_names(node: str) -> set[str]:
-    """Return the names that parameter files state under `/**` and nothing states for `node` itself."""
+    """Return the names that are stated for all nodes, and not for `node` itself.
+
+    A parameter file states them under `/**`, and SetParameter of a launch file by `-p` without the name of a node.
+    """
     shared, own = set[str](), set[str]()
     for option, value in pairwise(ARGUMENTS.get()):
         if option in {"-p", "--param"}:
-            own.add(value.partition(":=")[0].rpartition(":")[2])
+            owner, _, name = value.partition(":=")[0].rpartition(":")
+            (own if owner else shared).add(name)
         elif option == "--params-file":
             for owner, parameters in parameter_sections(Path(value), node):
                 (shared if owner == "**" else own).update(parameters)

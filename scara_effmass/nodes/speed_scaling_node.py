@@ -36,7 +36,7 @@ class Output(str, Enum):
     FACTOR = "factor"
     """control_msgs/SpeedScalingFactor, 0 to 1: the joint trajectory controller."""
     PERCENT = "percent"
-    """std_msgs/Float64, 0 to 100, the unit of UR's speed_scaling_state_broadcaster."""
+    """std_msgs/Float64, 0 to 100, for a node of your own: the unit that UR's driver reports, but has no input for."""
 
 
 _MESSAGES = {Output.FACTOR: (SpeedScalingFactor, "factor", 1.0), Output.PERCENT: (Float64, "data", 100.0)}
@@ -55,7 +55,11 @@ class NodeSettings(NodeParameters):
     speed_ratio: float = fixed(0.95, "share of the allowable speed to use", gt=0.0, le=1.0)
     rise_rate: float = fixed(1.0, "largest increase of the factor [1/s]; it falls at once", gt=0.0, le=100.0)
     rate: float = fixed(50.0, "heartbeat: messages per second, besides those that lower the factor", ge=1.0, le=1000.0)
-    output: Output = fixed(Output.FACTOR, "factor (control_msgs/SpeedScalingFactor) or percent (std_msgs/Float64)")
+    output: Output = fixed(
+        Output.FACTOR,
+        "factor (control_msgs/SpeedScalingFactor) or percent (std_msgs/Float64, for a node of your own: no controller, "
+        "nor UR's driver, subscribes to it)",
+    )
 
 
 class SpeedScalingNode(LifecycleBase):
@@ -74,6 +78,8 @@ class SpeedScalingNode(LifecycleBase):
         """Create the endpoints."""
         settings = self._settings
         self._factor, self._reason = 0.0, ""
+        self._stops, self._unreported = 0, ""
+        """Number of stops, and the reason of one since the last report."""
         self._last_number = self._refused_until_ns = self._lost = 0
         self._type, self._field, self._unit = _MESSAGES[settings.output]
         qos = topics.Qos(1, latched=True, deadline_s=2.0 / settings.rate)
@@ -150,14 +156,29 @@ class SpeedScalingNode(LifecycleBase):
     def _send(self) -> None:
         self._factor = self._scaler.factor(time.monotonic_ns())
         self._publisher.publish(self._type(**{self._field: self._unit * self._factor}))
-        if (reason := self._scaler.reason) != self._reason:
-            self._reason = reason
-            self.get_logger().info(f"stopped: {reason}" if reason else "released")
+        reason = self._scaler.reason
+        if reason and not self._reason:
+            self._stops, self._unreported = self._stops + 1, reason
+        self._reason = reason
 
     def _statuses(self) -> list[DiagnosticStatus]:
-        problem = f"stopped: {self._reason}" if self._reason else "; ".join(sorted(self.incompatible_qos))
+        with self._lock:
+            reason, unreported, self._unreported = self._reason, self._unreported, ""
+            disobedience = self._scaler.disobedience if self._publishing else ""
         controllers = self._publisher.get_subscription_count()
-        values = {"factor": self._factor, "controllers": controllers, "lost contact states": self._lost}
+        problem = disobedience or (f"stopped: {reason}" if reason else "")
+        if not problem and unreported:
+            problem = f"was stopped for a moment: {unreported}"
+        problem = problem or "; ".join(sorted(self.incompatible_qos))
+        if not controllers:
+            unheard = f"no controller subscribes to {self._publisher.topic_name}: remap it to that of the controller"
+            problem = f"{problem}; {unheard}" if problem else unheard
+        values = {
+            "factor": self._factor,
+            "controllers": controllers,
+            "stops": self._stops,
+            "lost contact states": self._lost,
+        }
         return [status("speed scaling", "scaling", values, problem=problem)]
 
 

@@ -76,7 +76,8 @@ class VisualizationNode(LifecycleBase):
         self._status = CellStatus(time.monotonic_ns())
         self._shown: set[tuple[str, int]] = set()
         self._refuse_robot("")
-        use_robot(self, lambda: self._settings, self._use_robot, self._refuse_robot)
+        self._distrusted = ""
+        use_robot(self, lambda: self._settings, self._use_robot, self._refuse_robot, self._distrust_robot)
         self._markers = self.create_owned_publisher(MarkerArray, topics.MARKERS, topics.Qos(10))
         best_effort = topics.STREAM_QOS._replace(reliable=False)  # the monitor waits for no acknowledgement
         for kind, topic, received in (
@@ -94,6 +95,9 @@ class VisualizationNode(LifecycleBase):
 
     def _refuse_robot(self, reason: str) -> None:
         self._dynamics, self._no_robot_reason = None, reason
+
+    def _distrust_robot(self, reason: str) -> None:
+        self._distrusted = reason
 
     def _loaded(self, settings: NodeSettings) -> RobotDynamics | None:
         """Return the robot with the load of `settings`. Raises RobotError for an impossible one."""
@@ -129,7 +133,7 @@ class VisualizationNode(LifecycleBase):
         )
         decision = self._decision()
         contacts = list(decision.contacts)
-        pose = self._pose() if dynamics is not None else self._no_robot_reason
+        pose = self._distrusted or (self._pose() if dynamics is not None else self._no_robot_reason)
         places: dict[str, Vector3] = {}
         if dynamics is None or isinstance(pose, str):
             contacts.append(unknown_contact("", str(pose)))

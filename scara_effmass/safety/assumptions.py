@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple
 
 from scara_effmass.codes import Assumption
@@ -163,13 +164,14 @@ def mass_source(robot: Robot) -> str:
 
 
 def scope(robot: Robot, settings: MonitorSettings) -> str:
-    """Return what an OK covers: points watched, person, load, and the joints whose links are not watched."""
+    """Return what an OK covers: points watched, person, load, the joints whose links are not watched, the robot."""
     points = ", ".join(robot.contact_frames)
     watched = {robot.model.frames[frame].parentJoint for frame in robot.contact_frames.values()}
     others = [name for joint, name in enumerate(robot.joint_names, start=1) if joint not in watched]
     person = f"a person at {settings.person_speed:g} m/s" if settings.person_speed else "a person who stands still"
     text = f"slower than the allowable speed at {points}, for {person} and a load of {robot.payload_text}"
-    return f"{text}; not watched: the links behind {', '.join(others)}" if others else text
+    unwatched = f"; not watched: the links behind {', '.join(others)}" * bool(others)
+    return f"{text}{unwatched}; robot {robot.name} ({Path(robot.origin).name})"
 
 
 def deciding_mass(dynamics: RobotDynamics, model: MassModel) -> str:

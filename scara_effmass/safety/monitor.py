@@ -54,6 +54,8 @@ DEFAULT_MAX_SPEED = (60.0, 10.0)
 MAX_DETAILS = 10_000
 """Number of different texts of reasons that are kept."""
 OTHER_DETAIL = "one of too many different reasons"
+PAYLOAD, COMMANDS = "payload", "joint_commands"
+"""Inputs that can be distrusted, beside those of the node."""
 HEAD, REASON = Struct("3q"), Struct(f"{REASON_SIZE}d")
 """Layout of the first three fields of a State, and of its reason."""
 NO_VALUES = (0.0,) * (REASON_SIZE - DETAIL - 1)
@@ -122,6 +124,8 @@ class Monitor:
         )
         self.ignored = 0
         self._payload: Payload | None = None
+        self._distrusted: dict[str, tuple[Reason, str]] = {}
+        self._command_number, self._command_conflict_ns = NO_SEQUENCE, 0
         self._other_names: tuple[str, ...] = ()
         self._state_payload(f"no payload on {settings.payload_topic} yet" if settings.payload_topic else "")
         forget_all(*self._memory_bytes[1:3])
@@ -252,6 +256,11 @@ class Monitor:
             memory["cause_reason"][[CODE, DETAIL]] = Reason.STATED, self._detail(cause.reason)
 
     @property
+    def payload_reason(self) -> str:
+        """Why the payload is unknown, which makes every verdict UNKNOWN; empty if it is known."""
+        return self._distrusted.get(PAYLOAD, (Reason.NONE, ""))[1]
+
+    @property
     def payload_text(self) -> str:
         """The payload with its sources, or why it is unknown."""
         return self.payload_reason or self.dynamics.robot.payload_text
@@ -302,15 +311,37 @@ class Monitor:
         self._rules["expects_commands"] = tolerance > 0.0
         self._joints["command_tolerance"] = tolerance * self._per_joint
 
-    def take_command(self, command: JointState, now_ns: int) -> None:
+    def take_command(self, command: JointState, now_ns: int, sequence_number: int | None = None) -> None:
         """Take the positions that the controller commanded, received at `now_ns` on the node's clock.
 
-        A command without all joints is ignored.
+        A command without all joints is ignored. One whose `sequence_number` does not increase is of a second publisher,
+        or of a restarted one: that gives UNKNOWN until the numbers have increased for `timeout`.
         """
         layout = self._adapter.layout(command.names)
         if layout.order.size and len(command.position) == len(layout.names):
             self._joints["command"] = command.position[layout.order]
             self._memory["command_ns"], self._memory["has_command"] = now_ns, 1
+            if sequence_number is not None:
+                self._check_command_number(sequence_number, now_ns)
+
+    def _check_command_number(self, number: int, now_ns: int) -> None:
+        last, self._command_number = self._command_number, number
+        if number <= last:
+            self._command_conflict_ns = now_ns
+            follows = f"command number {number} follows number {last}"
+            self.distrust(COMMANDS, f"a second publisher of joint commands, or a restarted one: {follows}")
+        elif COMMANDS in self._distrusted:
+            elapsed_ns = now_ns - self._command_conflict_ns
+            if not 0 <= elapsed_ns <= int(self._rules["timeout_ns"][0]):
+                self.distrust(COMMANDS, "")
+
+    def distrust(self, source: str, reason: str, code: Reason = Reason.TWO_PUBLISHERS) -> None:
+        """Give UNKNOWN for `reason`, because the input `source` is not to be trusted; an empty reason ends that."""
+        self._distrusted.pop(source, None)
+        if reason:
+            self._distrusted[source] = code, reason
+        code, text = next(iter(self._distrusted.values()), (Reason.NONE, ""))
+        self._rules["distrusted_code"], self._rules["distrusted_detail"] = code, self._detail(text)
 
     def take_payload(self, payload: Payload | str) -> None:
         """Use the `payload` of `payload_topic` from the next joint state on.
@@ -328,9 +359,7 @@ class Monitor:
             self._state_payload(f"the payload is unknown: {error}")
 
     def _state_payload(self, reason: str) -> None:
-        self.payload_reason = reason
-        """Why the payload is unknown, which makes every verdict UNKNOWN; empty if it is known."""
-        self._rules["payload_detail"] = self._detail(reason)
+        self.distrust(PAYLOAD, reason, Reason.PAYLOAD_UNKNOWN)
 
     def assess(self, state: JointState, now_ns: int, sequence_number: int | None = None) -> Decision | None:
         """Return the decision on `state`, received at `now_ns` on the node's clock.

@@ -47,6 +47,7 @@ TEXTS = {
     Reason.OLD_STAMP: "the joint state is {v[0]:.3f} s old",
     Reason.REPEATED_STAMP: "the header stamp is repeated",
     Reason.BACKWARD_STAMP: "the header stamp goes back by {v[0]:.6f} s",
+    Reason.TWO_PUBLISHERS: "{detail}",
     Reason.POSITION_NOT_FINITE: "the position of {joint} is {v[0]}",
     Reason.VELOCITY_NOT_FINITE: "the velocity of {joint} is {v[0]}",
     Reason.POSITION_LIMIT: "{joint} at {v[0]:.4f} {unit} lies outside its limits {v[1]:.4f} to {v[2]:.4f}",

@@ -33,6 +33,7 @@ REMEDIES = {
     Reason.REPEATED_STAMP: STAMPS,
     Reason.BACKWARD_STAMP: STAMPS,
     Reason.COARSE_CLOCK: "publish /clock more often (`ros2 bag play --clock 100`), or raise `timeout`",
+    Reason.TWO_PUBLISHERS: "let one node alone publish on the topic that the reason names",
     Reason.POSITION_NOT_FINITE: DRIVER,
     Reason.VELOCITY_NOT_FINITE: DRIVER,
     Reason.POSITION_LIMIT: "correct the limits in the robot file, or the zero position and unit of the driver",

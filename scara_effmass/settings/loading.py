@@ -21,6 +21,8 @@ Settings = TypeVar("Settings", bound=BaseModel)
 READ_ONLY: dict[str, Any] = {"read_only": True}
 """Marks a setting that cannot change while the node runs, such as hardware and robot."""
 
+DESCRIPTIONS = frozenset({"robot_description", "robot_description_semantic"})
+"""Parameters of other nodes with names like those here; the monitor takes a description by topic."""
 NODE_ONLY = frozenset(
     {"robot", "autostart", "status_period", "command_tolerance", "use_sim_time", "stop_at_end", "find_impacts"}
     | {"report_folder", "thread_priority"}
@@ -172,9 +174,11 @@ def parameter_sections(
 
 
 def is_foreign(name: str, kind: type[BaseModel]) -> bool:
-    """Return whether `name` is no field of `kind`: neither a present or misspelt one, nor one in a group."""
+    """Return whether `name` is no field of `kind`: neither a present, misspelt or shortened one, nor one in a group."""
+    if name in DESCRIPTIONS:
+        return name not in kind.model_fields
     fields = flat_fields(kind)
-    own = name in fields or name.partition(".")[0] in kind.model_fields
+    own = name.partition(".")[0] in kind.model_fields or any(field.startswith(name) for field in fields)
     return not (own or get_close_matches(name, fields, n=1, cutoff=0.8))
 
 

@@ -220,3 +220,32 @@ def test_closed_loop_reaches_a_constant_limit_monotonically(
         assert sent[-1] <= max(limit, rise_rate * latency_ns / 1e9) * (1.0 + 1e-9)
         assert sent[-2] * (1.0 - 1e-9) <= sent[-1] or sent[-1] >= limit * (1.0 - 1e-9)
     assert math.isclose(sent[-1], limit, rel_tol=1e-3)
+
+
+def test_controller_that_does_not_obey_is_named_after_a_second_and_while_it_moves() -> None:
+    scaler, now_ns = released()
+    for speed, seconds, expected in ((0.3, 0.9, ""), (0.3, 1.0, "the robot moves at 0.30 m/s at a factor of 0")):
+        for _ in range(round(seconds * 1e9 / PERIOD_NS)):
+            now_ns += PERIOD_NS
+            scaler.take(state(speed, 0.0), now_ns)  # a VIOLATION that latches: the factor is 0
+            assert scaler.factor(now_ns) == 0.0
+        assert scaler.disobedience.startswith(expected)
+        assert bool(scaler.disobedience) == bool(expected)
+    # Allowed again, but it has never stopped: the factor cannot rise, as the programmed speed is not known.
+    scaler.take(state(0.3, 1.0), now_ns + PERIOD_NS)
+    assert scaler.factor(now_ns + PERIOD_NS) == 0.0
+    assert scaler.reason == ""
+    assert scaler.disobedience
+    scaler.take(state(0.0, 1.0, at_rest=True), now_ns + 2 * PERIOD_NS)
+    assert scaler.disobedience == ""
+
+
+def test_controller_that_obeys_is_not_doubted_at_a_small_factor() -> None:
+    scaler, now_ns = released()
+    factor = 1.0
+    for _ in range(1000):
+        now_ns += PERIOD_NS
+        scaler.take(state(2.0 * factor, 0.01), now_ns)
+        factor = scaler.factor(now_ns)
+        assert scaler.disobedience == ""
+    assert 0.0 < factor < 0.01

@@ -331,3 +331,19 @@ def test_unknown_assumption_is_refused_in_one_line(capsys: pytest.CaptureFixture
     assert main(["doctor", "--accept-assumptions", "drive"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "'drive': must be drives" in line
+
+
+@pytest.mark.parametrize("is_set", [True, False])
+def test_home_in_which_no_node_can_log_is_wrong(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, *, is_set: bool
+) -> None:
+    for name in ("ROS_LOG_DIR", "ROS_HOME", "HOME"):
+        monkeypatch.delenv(name, raising=False)
+    if is_set:
+        monkeypatch.setenv("HOME", "/proc/nobody")  # where not even root can make a folder
+    code, result = run_doctor(capsys)
+    assert (code, result["healthy"]) == (1, False)
+    assert texts(result, "wrong")["ROS_LOG_DIR"].endswith("must be a folder that can be written")
+    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "logs"))
+    code, result = run_doctor(capsys)
+    assert (code, texts(result, "ok")["ROS_LOG_DIR"]) == (0, f"{tmp_path}/logs: logs go to {tmp_path}/logs")

@@ -3,18 +3,20 @@
 
 import asyncio
 import csv
+from contextlib import suppress
 from types import SimpleNamespace
 from typing import Any
 
 import httpx
 import pytest
+import uvicorn
 from starlette.applications import Starlette
 from starlette.responses import PlainTextResponse
 from starlette.routing import Route
 
 from scara_effmass.cell.status import CellStatus
 from scara_effmass.dashboard.page import csv_of
-from scara_effmass.dashboard.server import Guard, bound_socket, is_local
+from scara_effmass.dashboard.server import BoundedConnection, Guard, bound_socket, is_local
 from scara_effmass.errors import SettingsError
 from scara_effmass.safety import unknown_contact
 from scara_effmass.values import Verdict
@@ -52,6 +54,101 @@ def test_the_token_of_the_address_becomes_a_cookie() -> None:
     assert [answer.status_code for answer in refused] == [401] * 4
     assert (accepted.text, str(accepted.url), later.text) == ("page", "http://127.0.0.1:8321/", "page")
     assert "HttpOnly; Path=/; SameSite=lax" in accepted.history[0].headers["set-cookie"]
+
+
+@pytest.mark.parametrize("token", ["", "secret"])
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {"host": "[::1"},
+        {"host": "localhost:port"},
+        {"host": "localhost:123456"},
+        {"host": "evil.example@localhost"},
+        {"host": "localhost/x"},
+        {"host": ""},
+        {"origin": "http://[::1"},
+        {"origin": "http://localhost:port"},
+        {"origin": "localhost"},
+        {"origin": "http://localhost http://evil.example"},
+    ],
+)
+def test_malformed_host_and_origin_are_bad_requests(token: str, headers: dict[str, str]) -> None:
+    async def answer() -> httpx.Response:
+        transport = httpx.ASGITransport(app=Guard(APP, token))
+        async with httpx.AsyncClient(transport=transport, base_url="http://localhost") as browser:
+            return await browser.get("/", headers=headers)
+
+    assert asyncio.run(answer()).status_code == 400
+
+
+@pytest.mark.parametrize(("host", "status"), [("localhost:8321", 200), ("[::1]:8321", 200), ("evil.example", 403)])
+def test_every_answer_says_what_may_load_and_that_it_fits_no_frame(host: str, status: int) -> None:
+    (answer,) = get("", "/", host=host)
+    assert answer.status_code == status
+    policy = dict(item.strip().split(" ", 1) for item in answer.headers["content-security-policy"].split(";"))
+    assert policy["default-src"] == "'self'"
+    assert policy["frame-ancestors"] == "'none'"
+    assert policy["connect-src"] == f"'self' ws://{host} wss://{host}"
+    assert not any(scheme in text.split() for text in policy.values() for scheme in ("*", "http:", "https:"))
+    assert (answer.headers["x-frame-options"], answer.headers["x-content-type-options"]) == ("DENY", "nosniff")
+
+
+async def close(*writers: asyncio.StreamWriter) -> None:
+    for writer in writers:
+        writer.close()
+        with suppress(OSError):
+            await writer.wait_closed()
+
+
+async def open_idle(count: int, idle_s: float) -> tuple[int, bytes, bool]:
+    """Open `count` connections that send nothing, and one that sends a request slowly.
+
+    Return how many of the former stay open, the answer to a request meanwhile, and whether the slow one stays open.
+    """
+    config = uvicorn.Config(Guard(APP, ""), http=BoundedConnection, log_level="critical", lifespan="off")
+    server = uvicorn.Server(config)
+    with bound_socket("127.0.0.1", 0) as listener:
+        port = listener.getsockname()[1]
+        serving = asyncio.create_task(server.serve(sockets=[listener]))
+        idle = [await asyncio.open_connection("127.0.0.1", port) for _ in range(count)]
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        writer.write(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        answer = await reader.readline()
+        slow, slow_writer = await asyncio.open_connection("127.0.0.1", port)
+        ended = asyncio.create_task(slow.read())
+        while not ended.done():
+            slow_writer.write(b"G")
+            await asyncio.wait([ended], timeout=idle_s / 4.0)
+        open_ones = sum([not one.at_eof() for one, _ in idle])
+        server.should_exit = True
+        await serving
+        await close(*(each for _, each in idle), writer, slow_writer)
+    return open_ones, answer, not ended.done()
+
+
+def test_idle_and_slow_connections_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("scara_effmass.dashboard.server.IDLE_S", 1.0)
+    assert asyncio.run(asyncio.wait_for(open_idle(20, 1.0), 60.0)) == (0, b"HTTP/1.1 200 OK\r\n", False)
+
+
+def test_number_of_connections_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("scara_effmass.dashboard.server.MAX_CONNECTIONS", 5)
+
+    async def count_open() -> int:
+        server = uvicorn.Server(uvicorn.Config(Guard(APP, ""), http=BoundedConnection, log_level="critical"))
+        with bound_socket("127.0.0.1", 0) as listener:
+            serving = asyncio.create_task(server.serve(sockets=[listener]))
+            pairs = [await asyncio.open_connection(*listener.getsockname()) for _ in range(20)]
+            reads = [asyncio.create_task(reader.read()) for reader, _ in pairs]
+            while sum(read.done() for read in reads) < 15:
+                await asyncio.wait([read for read in reads if not read.done()], return_when=asyncio.FIRST_COMPLETED)
+            count = sum(not read.done() for read in reads)
+            server.should_exit = True
+            await serving
+            await close(*(writer for _, writer in pairs))
+        return count
+
+    assert asyncio.run(asyncio.wait_for(count_open(), 60.0)) == 5
 
 
 LOCAL = ("127.0.0.1", "::1", "localhost")

@@ -57,6 +57,9 @@ END = {
     "shutdown": [Transition.TRANSITION_ACTIVE_SHUTDOWN],
     "SIGINT": signal.SIGINT,
     "SIGTERM": signal.SIGTERM,
+    "SIGHUP": signal.SIGHUP,
+    "SIGQUIT": signal.SIGQUIT,
+    "SIGUSR1": signal.SIGUSR1,
 }
 
 

@@ -218,6 +218,26 @@ def test_diagnostics_name_a_subscriber_with_incompatible_qos(harness: NodeHarnes
     line = harness.diagnostic("input", "incompatible QoS", bool)
     harness.node.destroy_subscription(subscriber)
     assert line.endswith("a subscriber of contact_states cannot be connected: its DURABILITY does not fit")
+    harness.diagnostic("input", "incompatible QoS", lambda value: not value)  # as after one `ros2 topic echo`
+
+
+def test_gripper_with_a_publisher_of_its_own_is_no_warning(harness: NodeHarness) -> None:
+    gripper = harness.node.create_publisher(JointStateMessage, "joint_states", 10)
+
+    def send() -> None:
+        gripper.publish(joint_state(names=("finger",), position=(0.0,), velocity=()))
+        harness.send(joint_state())
+
+    def both_are_received() -> bool:
+        statuses = (s for array in harness.diagnostics for s in array.status if s.name.endswith(": input"))
+        values = ({pair.key: pair.value for pair in status.values} | {"": status.message} for status in statuses)
+        return any(v["publishers"] == "2" and v["of other devices"] != "0" and "2 pub" not in v[""] for v in values)
+
+    try:
+        harness.diagnostics.clear()
+        harness.spin_until(both_are_received, repeat=send)
+    finally:
+        harness.node.destroy_publisher(gripper)
 
 
 def contact_of(answer: Answer) -> ContactAssessment:

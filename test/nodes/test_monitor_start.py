@@ -29,6 +29,8 @@ def paths(tmp_path: Path) -> dict[str, Path]:
     ("arguments", "line"),
     [
         ("--ros-args --params-file {typo}", "monitor: no parameter 'time_out': must be timeout"),
+        ("--ros-args -p payload:=5.0", "monitor: no parameter 'payload': must be payload_"),
+        ("--ros-args -p monitor:nonsense:=1", "monitor: no parameter 'nonsense': must be robot,"),
         ("--ros-args -p robot:={missing}", "{missing}: cannot be read: No such file or directory"),
         ("--ros-args --params-file {missing}", "ROS arguments: "),
         ("--ros-args --params-file {broken}", "ROS arguments: "),
@@ -149,14 +151,15 @@ def test_parameters_of_other_nodes_under_all_nodes_are_ignored_with_a_warning(
 ) -> None:
     params = tmp_path / "robot.yaml"
     shared = "/**:\n  ros__parameters: {controller_rate: 500, sensor: {sensitivity: 2.0}, release_time: 0.0}\n"
+    parent = ("-p", "use_gripper:=true", "-p", "robot_description:=<robot/>")  # SetParameter of a parent launch file
     params.write_text(f"{shared}planner:\n  ros__parameters: {{horizon: 2}}\n", encoding="utf-8")
-    harness = new_harness("--ros-args", "--params-file", str(params))
+    harness = new_harness("--ros-args", *parent, "--params-file", str(params))
     harness.subscribe_until_ok()
     assert harness.process is not None
     harness.process_may_end = True
     harness.process.terminate()
     _, errors = harness.process.communicate()
-    for name in ("controller_rate", "sensor.sensitivity"):
+    for name in ("controller_rate", "sensor.sensitivity", "use_gripper", "robot_description"):
         assert f"parameter '{name}' of /** is not of this node: ignored" in errors
     assert "horizon" not in errors
 
@@ -195,3 +198,9 @@ def test_first_lines_say_what_is_assumed_and_which_options_state_it(new_harness:
     assert "--person-speed" not in assumed
     assert any("accepted assumptions: person_speed" in line for line in lines)
     assert any("deciding mass: lumped from masses" in line for line in lines)
+
+
+def test_node_without_a_folder_for_its_log_names_the_variable(new_harness: Callable[..., NodeHarness]) -> None:
+    process = new_harness().start(command=("env", "ROS_LOG_DIR=/proc/nobody", str(MONITOR_NODE)))
+    assert process.communicate()[1].splitlines()[-1].startswith("ROS_LOG_DIR: failed to initialize logging: ")
+    assert process.returncode == 2

@@ -13,7 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 from control_msgs.msg import SpeedScalingFactor
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import Transition
+from rcl_interfaces.msg import Log
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from scara_effmass_msgs.msg import ContactState, ContactStates
 from std_msgs.msg import Float64
@@ -206,3 +208,60 @@ def test_simulated_controller_obeys_over_dds(cell: Start) -> None:
     for k in np.flatnonzero(speed > allowable_speed):
         recent = (stamps <= stamps[k]) & (stamps > stamps[k] - lag_s)
         assert factor[k] <= allowed[recent].max() * (1.0 + 1e-6)
+
+
+def test_status_warns_of_stops_and_of_a_controller_that_does_not_obey_in_few_lines(
+    new_harness: Callable[..., NodeHarness],
+) -> None:
+    node = new_harness(name="speed_scaling")
+    logged: list[str] = []
+
+    def on_log(message: Log) -> None:
+        logged.append(message.msg)
+
+    node.node.create_subscription(Log, "/rosout", on_log, CONTROLLER_QOS)
+    node.node.create_subscription(DiagnosticArray, "/diagnostics", node.diagnostics.append, DEEP_QOS)
+    node.start("--ros-args", "-p", "timeout:=0.5", "-p", "rise_rate:=20.0", command=(str(NODE),))
+    publisher = node.node.create_publisher(ContactStates, "contact_states", qos_profile(verdict_qos(0.5)))
+    number = 0
+
+    def send(speed: float = 0.0, age: str = "", *, allowed: float = 1.0) -> None:
+        nonlocal number
+        number += 1
+        verdict = ContactState.UNKNOWN if age else ContactState.OK
+        contact = ContactState(contact_point="tool", verdict=verdict, allowable_speed=allowed, speed=speed, reason=age)
+        message = ContactStates(contacts=[contact], sequence_number=number)
+        message.header.stamp = node.node.get_clock().now().to_msg()
+        publisher.publish(message)
+
+    def told(text: str) -> bool:
+        statuses = [status for array in node.diagnostics for status in array.status]
+        return any(text in status.message and status.level == DiagnosticStatus.WARN for status in statuses)
+
+    node.spin_until(lambda: told("no controller subscribes to /joint_trajectory_controller/speed_scaling_input"))
+    factors: list[float] = []
+
+    def on_factor(message: SpeedScalingFactor) -> None:
+        factors.append(message.factor)
+
+    node.node.create_subscription(SpeedScalingFactor, SPEED_SCALING_INPUT, on_factor, CONTROLLER_QOS)
+    node.spin_until(lambda: factors and factors[-1] == 1.0, repeat=send)
+    # A reason whose number changes with each message.
+    begin, first = time.monotonic(), len(logged)
+
+    def many() -> None:
+        for _ in range(5):
+            send(age=f"the joint state is {time.monotonic():.6f} s old")
+
+    node.spin_until(lambda: time.monotonic() > begin + 4.0, repeat=many)
+    assert told("stopped: tool: the joint state is ")
+    lines = [line for line in logged[first:] if "the joint state is" in line]
+    assert 1 <= len(lines) <= 2, lines  # one of the change, and one of the status
+    assert factors[-1] == 0.0
+    node.diagnostics.clear()
+    node.spin_until(lambda: told(": nothing obeys it"), repeat=lambda: send(speed=0.3))
+    assert factors[-1] == 0.0
+    node.spin_until(lambda: factors[-1] == 1.0, repeat=send)
+    node.diagnostics.clear()
+    send(age="for a moment")
+    node.spin_until(lambda: told("for a moment"), repeat=send)

@@ -114,6 +114,8 @@ def test_use_sim_time_is_set_only_on_request_and_by_a_replay(launch_file: dict[s
     assert sim_time(source="sim") == [None, None, None]
     assert sim_time(use_sim_time="false") == [False]
     assert sim_time(use_sim_time="true", record="bag") == [True, True]
+    assert sim_time(use_sim_time="True") == [True]  # as Python, and so an including launch file, writes it
+    assert sim_time(use_sim_time="False") == [False]
     assert sim_time(replay="bag") == [True, True]
     assert sim_time(replay="bag", use_sim_time="false") == [False, False]
 
@@ -218,6 +220,7 @@ def test_two_cells_side_by_side_keep_to_their_namespaces(
     harness.spin_until(lambda: recorded() and answered(), repeat=send)
     config = yaml.safe_load((ROOT / "config" / "diagnostic_aggregator.yaml").read_text(encoding="utf-8"))
     groups = [item for item in config["analyzers"]["ros__parameters"].values() if isinstance(item, dict)]
+    assert not any("discard_stale" in group for group in groups)  # which shows a killed node as OK
     wanted = {f"/{name}{status}" for name in cells for group in groups for status in group.get("expected", ())}
     reporters = {f"/{name}/{node}" for name in cells for node in ("monitor", "daq", "validator")}
 

@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Each input that a verdict rests on has exactly one publisher: a second one gives UNKNOWN with a reason."""
+
+import time
+from collections.abc import Callable, Sequence
+
+import pytest
+from builtin_interfaces.msg import Time
+from rcl_interfaces.msg import Log
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rosgraph_msgs.msg import Clock
+from scara_effmass_msgs.msg import ContactState
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+from scara_effmass.codes import Reason
+from test.nodes.conftest import Answer, NodeHarness, joint_state
+from test.nodes.test_monitor_node import ACCEPT_ALL, INFO, TWO_LINKS
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+LIGHT = TWO_LINKS.replace('mass value="2.0"', 'mass value="0.2"').replace('mass value="1.0"', 'mass value="0.1"')
+AWAIT = ("-p", "await_robot_description:=true", "-p", "effective_mass_model:=full", "-p", "timeout:=60.0", *ACCEPT_ALL)
+TWO = "2 publishers of robot_description: must be one"
+
+
+def until(harness: NodeHarness, accept: Callable[[Answer], bool], send: Callable[[], object]) -> Answer:
+    """Return the first new answer that `accept` accepts, while `send` is repeated."""
+    harness.contact_states.clear()
+    answer: Answer = harness.spin_until(lambda: next(filter(accept, harness.contact_states), None), repeat=send)
+    return answer
+
+
+def is_ok(answer: Answer) -> bool:
+    return bool(answer.verdict == ContactState.OK)
+
+
+def has(reason: str) -> Callable[[Answer], bool]:
+    return lambda answer: reason in answer.reason
+
+
+class Arm:
+    """A monitor that takes its robot from robot_description, and an arm that moves it."""
+
+    def __init__(self, harness: NodeHarness) -> None:
+        self.harness = harness
+        self.logged: list[str] = []
+        harness.node.create_subscription(Log, "/rosout", self.on_log, INFO)
+        harness.subscribe()
+
+    def on_log(self, message: Log) -> None:
+        self.logged.append(message.msg)
+
+    def describe(self, text: str) -> Publisher:
+        publisher = self.harness.node.create_publisher(String, "robot_description", LATCHED)
+        publisher.publish(String(data=text))
+        return publisher
+
+    def send(self, velocity: Sequence[float] = (0.01, -0.01)) -> None:
+        self.harness.send(joint_state(names=("shoulder", "elbow"), position=(0.3, 1.2), velocity=velocity))
+
+    def until(self, accept: Callable[[Answer], bool]) -> Answer:
+        return until(self.harness, accept, self.send)
+
+
+@pytest.fixture
+def start_arm(new_harness: Callable[..., NodeHarness]) -> Callable[..., Arm]:
+    return lambda *options: Arm(new_harness("--ros-args", *AWAIT, *options))
+
+
+def test_second_robot_description_gives_unknown_until_one_is_left(start_arm: Callable[..., Arm]) -> None:
+    arm = start_arm("-p", "release_time:=0.0")
+    heavy_publisher = arm.describe(TWO_LINKS)
+    heavy = arm.until(is_ok)
+    light_publisher = arm.describe(LIGHT)
+    unknown = arm.until(has(TWO))
+    assert (unknown.verdict, unknown.reason_code) == (ContactState.UNKNOWN, Reason.TWO_PUBLISHERS)
+    assert (unknown.contact_point, unknown.allowable_speed, unknown.speed_scaling) == ("hand", 0.0, 0.0)
+    heavy_publisher.publish(String(data=TWO_LINKS))  # identical, but whose is right?
+    light_publisher.publish(String(data=LIGHT))
+    for _ in range(3):
+        arm.until(has(TWO))
+    assert {answer.verdict for answer in arm.harness.contact_states} == {ContactState.UNKNOWN}
+    arm.harness.node.destroy_publisher(light_publisher)
+    again = arm.until(is_ok)  # without a new message of the first one
+    assert (again.full_mass, again.scope) == (heavy.full_mass, heavy.scope)
+    assert not any("the robot changed" in line for line in arm.logged)
+    light_publisher = arm.describe(LIGHT)
+    arm.until(has(TWO))
+    arm.harness.node.destroy_publisher(heavy_publisher)
+    light = arm.until(is_ok)
+    assert light.full_mass < heavy.full_mass
+    assert any("the robot changed" in line for line in arm.logged)
+
+
+def test_identical_description_changes_nothing_and_another_one_shows(start_arm: Callable[..., Arm]) -> None:
+    arm = start_arm("-p", "release_time:=60.0")
+    publisher = arm.describe(TWO_LINKS)
+    arm.harness.spin_until(lambda: any("monitoring two_link" in line for line in arm.logged))
+    arm.until(is_ok)
+    arm.send((2.9, 2.9))
+    held = until(arm.harness, has("held after: "), arm.send)
+    assert held.verdict == ContactState.VIOLATION
+    for _ in range(3):
+        publisher.publish(String(data=TWO_LINKS))
+    end = time.monotonic() + 1.0
+    arm.until(lambda _: time.monotonic() > end)
+    assert {answer.verdict for answer in arm.harness.contact_states} == {ContactState.VIOLATION}
+    assert sum("monitoring two_link" in line for line in arm.logged) == 1
+
+    publisher.publish(String(data=LIGHT))
+    changed = arm.until(has("the robot changed"))
+    before, after = (answer.scope.rpartition("; robot ")[2] for answer in (held, changed))
+    assert before != after
+    assert changed.reason == f"held after: the robot changed from {before} to {after}"
+    assert changed.verdict == ContactState.UNKNOWN
+    assert arm.harness.diagnostic("model", "robot", after.__eq__)
+    assert any(f"the robot changed from {before} to {after}" in line for line in arm.logged)
+
+
+def test_changed_robot_is_latched(start_arm: Callable[..., Arm]) -> None:
+    arm = start_arm("-p", "release_time:=0.0", "-p", "latch:=true")
+    publisher = arm.describe(TWO_LINKS)
+    arm.until(is_ok)
+    publisher.publish(String(data=LIGHT))
+    assert arm.until(has("latched until reset: hand: the robot changed")).verdict == ContactState.UNKNOWN
+
+
+def test_second_publisher_of_commands_gives_unknown(new_harness: Callable[..., NodeHarness]) -> None:
+    harness = new_harness("--ros-args", "-p", "command_tolerance:=0.1", "-p", "timeout:=0.5", "-p", "release_time:=0.0")
+    harness.subscribe()
+    first, second = (harness.node.create_publisher(JointState, "joint_commands", 10) for _ in range(2))
+
+    def send(*publishers: Publisher) -> None:
+        for publisher in publishers:
+            publisher.publish(joint_state(velocity=()))
+        harness.send(joint_state())
+
+    until(harness, is_ok, lambda: send(first))
+    unknown = until(harness, has("a second publisher of joint commands"), lambda: send(first, second))
+    assert (unknown.verdict, unknown.reason_code) == (ContactState.UNKNOWN, Reason.TWO_PUBLISHERS)
+    assert unknown.allowable_speed == 0.0
+    until(harness, is_ok, lambda: send(first))
+    gripper = harness.node.create_publisher(JointState, "joint_commands", 10)
+
+    def send_beside_gripper() -> None:
+        gripper.publish(joint_state(names=("finger",), position=(0.0,), velocity=()))
+        send(first)
+
+    for _ in range(3):
+        until(harness, is_ok, send_beside_gripper)
+    assert {answer.verdict for answer in harness.contact_states} == {ContactState.OK}
+
+
+def test_second_clock_gives_unknown(new_harness: Callable[..., NodeHarness]) -> None:
+    harness = new_harness("--ros-args", "-p", "use_sim_time:=true", "-p", "release_time:=0.0", "-p", "timeout:=60.0")
+    harness.subscribe()
+    clock = harness.node.create_publisher(Clock, "/clock", 10)
+
+    def send() -> None:
+        seconds, nanoseconds = divmod(time.time_ns(), 10**9)
+        clock.publish(Clock(clock=Time(sec=seconds, nanosec=nanoseconds)))
+        harness.send(joint_state())
+
+    until(harness, is_ok, send)
+    second = harness.node.create_publisher(Clock, "/clock", 10)
+    unknown = until(harness, has("2 publishers of /clock: must be one"), send)
+    assert (unknown.verdict, unknown.allowable_speed) == (ContactState.UNKNOWN, 0.0)
+    harness.node.destroy_publisher(second)
+    until(harness, is_ok, send)
