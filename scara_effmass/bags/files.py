@@ -293,9 +293,10 @@ def _bound_chunks(reader: Ros1Reader) -> None:
     def decompressor(compression: str, size: int) -> Callable[[bytes], bytes]:
         return lambda data: inflate(data, compression, size)
 
-    for position, chunk in reader.chunks.items():
-        reader.bio.seek(position)
-        header = Header.read(reader.bio, RecordType.CHUNK)
+    file = reader.bio
+    for position, chunk in reader.chunks.items() if file else ():
+        file.seek(position)
+        header = Header.read(file, RecordType.CHUNK)
         bounded = decompressor(header.get_string("compression"), header.get_uint32("size"))
         reader.chunks[position] = chunk._replace(decompressor=bounded)
 
