@@ -6,6 +6,7 @@ EXTRAS = {
     "foxglove": "foxglove",
     "fsspec": "cluster",
     "jinja2": "reports",
+    "lvm_read": "daq",
     "matplotlib": "reports",
     "mujoco": "sim",
     "nicegui": "dashboard",

@@ -25,17 +25,24 @@ YAML_ERRORS = (yaml.YAMLError, AttributeError, LookupError, RecursionError, Type
 """Errors that `yaml.safe_load`, and reading its result, raise on an arbitrary or damaged file."""
 
 
+def check_regular_file(path: Path, error: type[EffmassError]) -> None:
+    """Raise `error` unless `path` is a regular file: a pipe without a writer would block for ever."""
+    try:
+        is_regular = stat.S_ISREG(path.stat().st_mode)
+    except (OSError, ValueError) as problem:
+        raise error(f"{path}: cannot be read: {getattr(problem, 'strerror', problem)}") from None
+    if not is_regular:
+        raise error(f"{path}: cannot be read: must be a regular file")
+
+
 def read_text(path: Path, error: type[EffmassError], max_bytes: int = MAX_TEXT_BYTES) -> str:
     """Return the UTF-8 text of the regular file at `path`. Raises `error`, also if it is larger than `max_bytes`."""
+    check_regular_file(path, error)
     try:
-        if not stat.S_ISREG(path.stat().st_mode):
-            raise error(f"{path}: cannot be read: must be a regular file")
         with path.open("rb") as file:
             content = file.read(max_bytes + 1)
-    except (OSError, ValueError) as problem:
-        if isinstance(problem, EffmassError):
-            raise
-        raise error(f"{path}: cannot be read: {getattr(problem, 'strerror', problem)}") from None
+    except OSError as problem:
+        raise error(f"{path}: cannot be read: {problem.strerror}") from None
     if len(content) > max_bytes:
         raise error(f"{path}: must not be larger than {max_bytes / 1e6:g} MB")
     try:

@@ -18,6 +18,7 @@ from pydantic import BaseModel, NonNegativeInt
 
 from scara_effmass.analysis.report import CYCLE, STYLE, new_figure
 from scara_effmass.errors import SettingsError
+from scara_effmass.input_files import read_text
 from scara_effmass.model.robot import Robot
 from scara_effmass.settings import checked
 from scara_effmass.values import ContactAssessment, FloatArray, JointState
@@ -30,6 +31,8 @@ AZIMUTHS, ELEVATIONS = 12, 7
 """Bins of the directions, of equal area on the sphere; horizontal ones are in the middle of a bin."""
 SPEEDS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
 """Lower ends [m/s] of the bins of the speed."""
+MAX_COUNTS_BYTES = 50_000_000
+"""Largest coverage.json that is read."""
 
 
 class Coverage(BaseModel):
@@ -85,9 +88,10 @@ class Coverage(BaseModel):
 
     def merge(self, path: Path) -> None:
         """Add the coverage in the file `path`. Raises SettingsError for another robot, or a recording counted twice."""
+        text = read_text(path, SettingsError, MAX_COUNTS_BYTES)
         try:
-            values = json.loads(path.read_text(encoding="utf-8"))["coverage"]
-        except (OSError, ValueError, KeyError, TypeError):
+            values = json.loads(text)["coverage"]
+        except (ValueError, KeyError, TypeError, RecursionError):
             raise SettingsError(f"{path}: cannot be read: must be a coverage.json") from None
         self.extend(checked(Coverage, values, str(path)), path)
 

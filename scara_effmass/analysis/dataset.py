@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
@@ -28,7 +29,7 @@ from scara_effmass.analysis.assessment import (
     open_velocities,
 )
 from scara_effmass.analysis.forces import RecordedForce, read_force
-from scara_effmass.analysis.output import atomic_file
+from scara_effmass.analysis.output import atomic_file, check_output_path
 from scara_effmass.analysis.summary import Summary, iso_time
 from scara_effmass.analysis.tables import AssessmentWriter, open_writer, provenance
 from scara_effmass.analysis.time_series import TimeSeries, TimeSeriesBuilder
@@ -122,7 +123,10 @@ def assess_bag(
 
 
 class Record(NamedTuple):
-    """Result of one recording: `key` is a hash of all that it depends on, `part` the file of the assessed states."""
+    """Result of one recording: `key` is a hash of all that it depends on.
+
+    `part` is the file of the assessed states in the dataset, and `part_hash` that of its content.
+    """
 
     key: str
     part: str
@@ -130,9 +134,12 @@ class Record(NamedTuple):
     counts: dict[str, int]
     losses: tuple[str, ...]
     notes: list[tuple[str, str]]
+    part_hash: str
 
 
 _RECORD = TypeAdapter(Record, config={"ser_json_inf_nan": "constants"})
+_PART = re.compile(r"cell=[^/]+/day=[^/]+/[^/]+-(?P<content>[0-9a-f]{16})\.parquet")
+_COUNTS = {"joint_states", "foreign", "refused"}
 
 
 def cell_of(path: Path) -> str:
@@ -152,8 +159,9 @@ def assess_part(
 ) -> BagResult:
     """Assess the bag at `path` into `folder`/cell=`cell`/day=DAY/, unless that was done; return the result.
 
-    It was done if bag, cell, settings, robot and version have the same hashes; a cross-check assesses again. Raises
-    BagError, SettingsError, and OutputError if anything but the bag differs, unless `overwrite`.
+    It was done if bag, cell, settings, robot and version have the same hashes, and the part is as it was written; a
+    cross-check assesses again. Raises BagError, SettingsError, and OutputError if anything but the bag differs, unless
+    `overwrite`, or if the earlier result is damaged.
     """
     content = _hash_of(path)
     inputs = [content, task.settings.model_dump_json(), digest(Path(task.settings.robot_path), BagError), __version__]
@@ -161,45 +169,76 @@ def assess_part(
     inputs += [task.time.value, str(task.topic), cell, _hash_of(task.velocity_bag) if task.velocity_bag else ""]
     key = hashlib.sha256(json.dumps(inputs).encode()).hexdigest()
     file = folder / RECORDS / f"{content[:16]}.json"
+    notes: list[tuple[str, str]] = []
+    check_output_path(file, overwrite=True)
     if file.exists():
-        record = _read_record(file)
+        record = _read_record(file, folder)
+        earlier = folder / record.part
         if record.key != key:
             if not overwrite:
                 problem = "is of another cell, other settings, robot or version; use --force to replace it"
-                raise OutputError(f"{folder / record.part}: {problem}")
-            if not isinstance(folder, Url):
-                (folder / record.part).unlink(missing_ok=True)
-        elif not task.cross_check and (folder / record.part).exists():
-            advance(1, 1)
-            return BagResult(record.summary, record.counts, record.losses, record.notes)
+                raise OutputError(f"{earlier}: {problem}")
+            if not isinstance(folder, Url) and earlier.is_file():
+                earlier.unlink()
+        elif earlier.is_file():
+            is_as_written = _hash_of(earlier) == record.part_hash
+            if is_as_written and not task.cross_check:
+                advance(1, 1)
+                return BagResult(record.summary, record.counts, record.losses, record.notes)
+            if not is_as_written:
+                notes.append(("assessed again", f"{earlier}: was damaged or changed since it was written"))
     with open_bag(path) as bag:
         day = iso_time(bag.start_ns)[:10]
     part = f"cell={cell}/day={day}/{path.stem}-{content[:16]}.parquet"
     origin = provenance(task.settings, dynamics.robot.origin, [path])
     with open_writer(folder / part, origin, dynamics.robot.base_frame, overwrite=True) as table:
         result = assess_bag(path, task, dynamics, table, advance)
-    record = Record(key, part, result.summary, result.counts, result.losses, result.notes)
+    record = Record(key, part, result.summary, result.counts, result.losses, result.notes, _hash_of(folder / part))
     with atomic_file(file, overwrite=True) as unfinished:
         unfinished.write_bytes(_RECORD.dump_json(record))
+    result.notes = [*result.notes, *notes]
     return result
 
 
 def remove_unfinished(folder: Path, bags: Iterable[Path]) -> None:
     """Remove from a local `folder` what killed processes have left of the parts of `bags`."""
     stems = {bag.stem for bag in bags}
-    for file in () if isinstance(folder, Url) else folder.rglob(".*.parquet"):
-        if file.name[1:].rsplit("-", 2)[0] in stems:
+    for file in () if isinstance(folder, Url) else folder.glob("cell=*/day=*/.*.parquet"):
+        unfinished = re.fullmatch(r"\.(?P<stem>.+)-[0-9a-f]{16}-\d+\.parquet", file.name)
+        if unfinished and unfinished["stem"] in stems:
             file.unlink(missing_ok=True)
 
 
-def _read_record(file: Path) -> Record:
-    """Return the result in `file`. Raises OutputError."""
-    with file.open("rb") as stream:
-        try:
+def _read_record(file: Path, folder: Path) -> Record:
+    """Return the result in `file`, whose part is in `folder` and nowhere else. Raises OutputError."""
+    try:
+        with file.open("rb") as stream:
             record: Record = _RECORD.validate_json(stream.read())
-        except ValueError:
-            raise OutputError(f"{file}: must be a result of this version; choose another folder") from None
+        _check_record(record, file, folder)
+    except OSError as error:
+        raise OutputError(f"{file}: cannot be read: {error.strerror or error}") from None
+    except (ValueError, LookupError, TypeError, ArithmeticError):
+        raise OutputError(f"{file}: must be a result of this version; choose another folder") from None
     return record
+
+
+def _check_record(record: Record, file: Path, folder: Path) -> None:
+    """Raise ValueError, LookupError, TypeError or ArithmeticError if a result cannot be used as it is.
+
+    A dataset may come from anywhere: its part must be of this recording and in `folder`, also behind symbolic links.
+    """
+    name = _PART.fullmatch(record.part)
+    if name is None or name["content"] != file.stem:
+        raise ValueError(record.part)
+    if not isinstance(folder, Url) and not (folder / record.part).resolve().is_relative_to(folder.resolve()):
+        raise ValueError(record.part)
+    numbers = record.summary.numbers
+    if record.counts.keys() != _COUNTS or any(len(numbers[text]) != text.count("…") for text in record.summary.reasons):
+        raise ValueError(record)
+    summary = Summary(record.summary.timeout_ns)
+    summary.merge(record.summary)
+    json.dumps(summary.as_dict(), allow_nan=False)
+    list(summary.lines())
 
 
 def _hash_of(bag: Path) -> str:

@@ -22,6 +22,7 @@ from scara_effmass.bags.batches import (
     Topic,
     merged_topics,
 )
+from scara_effmass.bags.compression import inflate_message
 from scara_effmass.bags.definitions import check_definition, types_of
 from scara_effmass.errors import BagError, DecodeError
 from scara_effmass.values import ForceBlock, Impact, RunInfo
@@ -184,6 +185,15 @@ class Bag(ABC):
                 line = f"{self.path}: {message.topic}: left out: {error}"
                 failure_counts[line] += 1
                 self._losses.add(line, failure_counts[line])
+
+
+def inflate_stored(path: Path, data: bytes, losses: LossLog) -> bytes:
+    """Return a message that rosbag2 compressed; if it is damaged, add that to `losses` and return no bytes."""
+    try:
+        return inflate_message(data)
+    except DecodeError as error:
+        losses.add(f"{path}: a compressed message is lost: {error}")
+        return b""
 
 
 def one_line(error: Exception) -> str:

@@ -4,19 +4,22 @@
 import heapq
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from functools import partial
 from operator import itemgetter
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import yaml
 from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinitionFormat
 from rosbags.rosbag1 import Reader as Ros1Reader
+from rosbags.rosbag1.reader import Header, RecordType
 from rosbags.rosbag2 import Reader as Ros2Reader
 
-from scara_effmass.bags.bag import Bag, StoredTopic, one_line
+from scara_effmass.bags.bag import Bag, StoredTopic, inflate_stored, one_line
 from scara_effmass.bags.batches import LossLog, MessageBatch, Topic, batch_of
+from scara_effmass.bags.compression import ZSTD_MAGIC, ZSTD_SUFFIXES, inflate, inflate_file
 from scara_effmass.bags.mcap_bag import MAGIC, McapBag
 from scara_effmass.errors import BagError
 from scara_effmass.input_files import YAML_ERRORS
@@ -26,7 +29,7 @@ Reader = Ros1Reader | Ros2Reader
 
 SUFFIXES = {".mcap", ".db3", ".bag"}
 METADATA = "metadata.yaml"
-SPLIT_NAME = re.compile(r"(?P<name>.+)_(?P<number>\d+)\.(?P<suffix>mcap|db3)")
+SPLIT_NAME = re.compile(r"(?P<name>.+)_(?P<number>\d+)\.(?P<suffix>(mcap|db3)(\.zstd)?)")
 """Name of a file in a rosbag2 folder."""
 BATCH_MESSAGES = 1000
 BATCH_BYTES = 1 << 20
@@ -38,7 +41,7 @@ def find_bags(path: Path) -> list[Path]:
         if path.is_file() or is_rosbag2_folder(path):
             return [path]
         children = sorted(path.iterdir())
-        bags = [p for p in children if is_rosbag2_folder(p) or (p.is_file() and p.suffix in SUFFIXES)]
+        bags = [p for p in children if is_rosbag2_folder(p) or (p.is_file() and _is_bag_name(p))]
     except FileNotFoundError:
         raise BagError(f"{path}: does not exist") from None
     except OSError as error:
@@ -84,7 +87,12 @@ def bag_files(folder: Path) -> list[Path]:
         match = SPLIT_NAME.fullmatch(path.name)
         return int(match["number"]) if match else 0, path
 
-    return sorted((path for path in folder.iterdir() if path.suffix in SUFFIXES and path.is_file()), key=order)
+    return sorted((path for path in folder.iterdir() if _is_bag_name(path) and path.is_file()), key=order)
+
+
+def _is_bag_name(path: Path) -> bool:
+    """Return whether a file has the suffix of a bag, compressed or not."""
+    return path.suffix in SUFFIXES or (path.suffix in ZSTD_SUFFIXES and Path(path.stem).suffix in SUFFIXES)
 
 
 def bag_bytes(bag: Path) -> int:
@@ -93,29 +101,36 @@ def bag_bytes(bag: Path) -> int:
     return sum(path.size() if isinstance(path, Url) else path.stat().st_size for path in paths)
 
 
-def _open_files(bag: Path, paths: Sequence[Path], losses: LossLog) -> Bag:
-    formats = set()
-    for path in paths:
-        with path.open("rb") as file:
-            head = file.read(16)
-        if not head:
-            raise BagError(f"{path}: is empty")
-        formats.add(next((magic for magic in FORMATS if head.startswith(magic)), b""))
-        if (journal := Path(f"{path}-wal")).exists() and journal.stat().st_size:
-            losses.add(f"{journal}: the recorder did not finish; messages in this journal are not read")
-    magic = formats.pop()
-    if formats or not magic:
-        raise BagError(f"{paths[0]}: is not a bag; expected MCAP, SQLite (rosbag2) or ROS 1")
-    return FORMATS[magic](bag, paths, losses)
+def _open_files(bag: Path, paths: Sequence[Path], losses: LossLog, *, are_messages_compressed: bool = False) -> Bag:
+    """Open the files of a bag. Compressed ones are decompressed to temporary files, which are deleted at once."""
+    with TemporaryDirectory(prefix="scara-effmass-") as folder:
+        files = [inflate_file(path, Path(folder)) if _head(path).startswith(ZSTD_MAGIC) else path for path in paths]
+        formats = set()
+        for path, file in zip(paths, files, strict=True):
+            if not (head := _head(file)):
+                raise BagError(f"{path}: is empty")
+            formats.add(next((magic for magic in FORMATS if head.startswith(magic)), b""))
+            if (journal := Path(f"{path}-wal")).exists() and journal.stat().st_size:
+                losses.add(f"{journal}: the recorder did not finish; messages in this journal are not read")
+        magic = formats.pop()
+        if formats or not magic:
+            raise BagError(f"{paths[0]}: is not a bag; expected MCAP, SQLite (rosbag2) or ROS 1")
+        return FORMATS[magic](bag, files, losses, are_messages_compressed=are_messages_compressed)
+
+
+def _head(path: Path) -> bytes:
+    with path.open("rb") as file:
+        return file.read(16)
 
 
 def _open_folder(folder: Path, losses: LossLog) -> Bag:
     metadata = read_metadata(folder, losses)
     present = bag_files(folder)
-    if metadata.get("compression_mode"):
-        if isinstance(folder, Url):
-            raise BagError(f"{folder}: is compressed by rosbag2: must be a local folder, or MCAP")
-        return RosbagsBag(folder, [folder], losses, Ros2Reader)
+    mode, compression = (str(metadata.get(key) or "").lower() for key in ("compression_mode", "compression_format"))
+    if mode not in {"", "none", "file", "message"} or (mode in {"file", "message"} and compression != "zstd"):
+        raise BagError(
+            f"{folder / METADATA}: compression = {compression} of each {mode}: must be zstd of file or message"
+        )
     # Older recorders wrote the names with the folder in front.
     named = [folder / Path(str(name)).name for name in metadata.get("relative_file_paths") or ()]
     for path in named:
@@ -134,7 +149,7 @@ def _open_folder(folder: Path, losses: LossLog) -> Bag:
                 losses.add(f"{folder / METADATA}: does not name {path.name}; not read")
     if not paths:
         raise BagError("; ".join([f"{folder}: contains no .mcap or .db3 file", *losses]))
-    bag = _open_files(folder, paths, losses)
+    bag = _open_files(folder, paths, losses, are_messages_compressed=mode == "message")
     count = sum(topic.count for topic in bag.topics)
     if metadata.get("message_count", count) != count:
         losses.add(f"{folder / METADATA}: lists {metadata['message_count']} messages, the files contain {count}")
@@ -172,11 +187,23 @@ def read_metadata(folder: Path, losses: LossLog) -> dict[str, Any]:
 class RosbagsBag(Bag):
     """A bag of files that are each read by rosbags."""
 
-    def __init__(self, path: Path, paths: Sequence[Path], losses: LossLog, make_reader: type[Reader]) -> None:
+    def __init__(
+        self,
+        path: Path,
+        paths: Sequence[Path],
+        losses: LossLog,
+        make_reader: type[Reader],
+        *,
+        are_messages_compressed: bool = False,
+    ) -> None:
+        self._are_messages_compressed = are_messages_compressed
         with ExitStack() as stack:
             self._readers = [(file, _open_reader(file, make_reader, stack)) for file in paths]
             self._stack = stack.pop_all()
         super().__init__(path, list(self._stored_topics()), losses, is_ros1=make_reader is Ros1Reader)
+        for file, reader in self._readers:
+            for line in _lost_rows(reader):
+                losses.add(f"{file}: {line}")
         nonempty = [reader for _, reader in self._readers if reader.message_count]
         self.start_ns = min((reader.start_time for reader in nonempty), default=0)
         self.end_ns = max((reader.end_time - 1 for reader in nonempty), default=0)
@@ -227,7 +254,9 @@ class RosbagsBag(Bag):
             self._losses.add(f"{path}: damaged, the rest is lost: {one_line(error)}")
 
     def _cdr(self, path: Path, connection: Connection, stored: bytes) -> bytes:
-        """Return a message in CDR; empty if a ROS 1 message cannot be converted."""
+        """Return a message in CDR; empty if it cannot be decompressed, or converted from ROS 1."""
+        if self._are_messages_compressed:
+            return inflate_stored(path, stored, self._losses)
         if not self._is_ros1:
             return stored
         try:
@@ -248,6 +277,8 @@ def _open_reader(path: Path, make_reader: type[Reader], stack: ExitStack) -> Rea
     try:
         reader = make_reader(local_file(path))
         reader.open()
+        if isinstance(reader, Ros1Reader):
+            _bound_chunks(reader)
     except OSError:
         raise
     except Exception as error:  # noqa: BLE001 - rosbags raises many types for a damaged file
@@ -256,7 +287,37 @@ def _open_reader(path: Path, make_reader: type[Reader], stack: ExitStack) -> Rea
     return reader
 
 
-FORMATS: dict[bytes, Callable[[Path, Sequence[Path], LossLog], Bag]] = {
+def _bound_chunks(reader: Ros1Reader) -> None:
+    """Let a reader decompress each chunk at most to the size that the chunk states."""
+
+    def decompressor(compression: str, size: int) -> Callable[[bytes], bytes]:
+        return lambda data: inflate(data, compression, size)
+
+    file = reader.bio
+    for position, chunk in reader.chunks.items() if file else ():
+        file.seek(position)
+        header = Header.read(file, RecordType.CHUNK)
+        bounded = decompressor(header.get_string("compression"), header.get_uint32("size"))
+        reader.chunks[position] = chunk._replace(decompressor=bounded)
+
+
+def _lost_rows(reader: Reader) -> Iterator[str]:
+    """Yield a line for each kind of rows of an SQLite file that `Reader.messages` leaves out without a word."""
+    database = getattr(getattr(reader, "storage", None), "dbconn", None)
+    if database is None:
+        return
+    named = "topic_id IN (SELECT id FROM topics)"
+    kinds = {
+        f"topic_id IS NULL OR NOT {named}": "of topics that the file does not define",
+        f"{named} AND (timestamp IS NULL OR timestamp < 0)": "without a time, or before 1970,",
+    }
+    for condition, text in kinds.items():
+        with suppress(Exception):  # apsw raises many types for a damaged file, which shows while messages are read
+            if count := database.execute(f"SELECT count(*) FROM messages WHERE {condition}").fetchone()[0]:  # noqa: S608
+                yield f"{count} messages {text} are lost"
+
+
+FORMATS: dict[bytes, Callable[..., Bag]] = {
     MAGIC: McapBag,
     b"SQLite format 3\0": partial(RosbagsBag, make_reader=Ros2Reader),
     b"#ROSBAG V": partial(RosbagsBag, make_reader=Ros1Reader),

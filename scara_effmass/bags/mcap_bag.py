@@ -10,16 +10,14 @@ at the first damaged record.
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, suppress
 from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import IO, NamedTuple
 
-import lz4.frame  # type: ignore[import-untyped]
 import numpy as np
-import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
@@ -31,7 +29,7 @@ from numpy.typing import NDArray
 from rosbags.interfaces import MessageDefinition, MessageDefinitionFormat
 from rosbags.typesys.msg import normalize_msgtype
 
-from scara_effmass.bags.bag import Bag, StoredTopic
+from scara_effmass.bags.bag import Bag, StoredTopic, inflate_stored
 from scara_effmass.bags.batches import (
     MAX_TIME_NS,
     NO_MESSAGES,
@@ -40,9 +38,11 @@ from scara_effmass.bags.batches import (
     LossLog,
     MessageBatch,
     Topic,
+    batch_of,
     in_log_time_order,
     leading,
 )
+from scara_effmass.bags.compression import MCAP_COMPRESSIONS, inflate
 from scara_effmass.errors import BagError, DecodeError
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -53,7 +53,6 @@ MESSAGE_INDEX_HEAD_BYTES = RECORD_HEAD.size + 6
 """Record head, channel (2 bytes) and size of the entries (4 bytes), which precede the entries of a message index."""
 MESSAGE_INDEX_ENTRY_BYTES = 16
 FOOTER_BYTES = RECORD_HEAD.size + 20
-MAX_CHUNK_BYTES = 1 << 30
 MAX_LOOSE_BYTES = 1 << 20
 """Size [B] at which records outside chunks are put into a chunk of the copy."""
 HASH_KEY = "topic_type_hash"
@@ -61,13 +60,6 @@ QOS_KEY = "offered_qos_profiles"
 ENCODINGS = {"ros2msg": MessageDefinitionFormat.MSG, "ros2idl": MessageDefinitionFormat.IDL}
 DAMAGE = (McapError, struct.error, ValueError, ArithmeticError, LookupError, TypeError)
 """Errors that mcap raises for damaged records."""
-
-# Unlike the functions for whole buffers, these interfaces return the intact part of a truncated stream.
-DECOMPRESSORS: dict[str, Callable[[bytes], bytes]] = {
-    "": bytes,
-    "zstd": lambda data: zstandard.ZstdDecompressor().decompressobj().decompress(data),
-    "lz4": lambda data: bytes(lz4.frame.LZ4FrameDecompressor().decompress(data)),
-}
 
 
 def open_mcap(path: Path) -> IO[bytes]:
@@ -116,14 +108,9 @@ def chunk_records(content: bytes, *, is_cut: bool = False) -> bytes:
         if is_cut:
             return b""
         raise DecodeError("its header is damaged") from None
-    if chunk.compression not in DECOMPRESSORS:
-        raise DecodeError(f"compression {chunk.compression!r}: must be one of {', '.join(filter(None, DECOMPRESSORS))}")
-    if chunk.uncompressed_size > MAX_CHUNK_BYTES:
-        raise DecodeError(f"uncompressed size {chunk.uncompressed_size}: must be <= {MAX_CHUNK_BYTES}")
-    try:
-        data = DECOMPRESSORS[chunk.compression](chunk.data)
-    except (zstandard.ZstdError, RuntimeError, MemoryError) as error:
-        raise DecodeError(f"its {chunk.compression} data is damaged: {error}") from None
+    if chunk.compression not in ("", *MCAP_COMPRESSIONS):
+        raise DecodeError(f"compression {chunk.compression!r}: must be one of {', '.join(MCAP_COMPRESSIONS)}")
+    data = inflate(chunk.data, chunk.compression, chunk.uncompressed_size)
     if not is_cut and len(data) != chunk.uncompressed_size:
         raise DecodeError(f"it decompresses to {len(data)} bytes; expected {chunk.uncompressed_size}")
     if not is_cut and chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
@@ -416,7 +403,10 @@ class McapFile:
 class McapBag(Bag):
     """A bag of MCAP files."""
 
-    def __init__(self, path: Path, paths: Sequence[Path], losses: LossLog) -> None:
+    def __init__(
+        self, path: Path, paths: Sequence[Path], losses: LossLog, *, are_messages_compressed: bool = False
+    ) -> None:
+        self._are_messages_compressed = are_messages_compressed
         with ExitStack() as stack:
             files = [stack.enter_context(closing(McapFile(file, losses))) for file in paths]
             super().__init__(path, [topic for file in files for topic in file.stored_topics()], losses)
@@ -443,9 +433,19 @@ class McapBag(Bag):
             for (chunk, file), horizon_ns in zip(chunks, horizons_ns, strict=True):
                 batch = file.read(chunk)
                 inside = (batch.log_time_ns >= start_ns) & (batch.log_time_ns < stop_ns) & is_wanted[batch.topic]
-                yield batch if inside.all() else batch.select(inside), horizon_ns
+                selected = batch if inside.all() else batch.select(inside)
+                yield self._inflated(selected) if self._are_messages_compressed else selected, horizon_ns
 
         return in_log_time_order(read())
+
+    def _inflated(self, batch: MessageBatch) -> MessageBatch:
+        """Return the batch with its messages decompressed; those that are damaged are left out."""
+        messages = [
+            inflate_stored(self.path, batch.data[start:stop], self._losses)
+            for start, stop in zip(batch.start.tolist(), batch.stop.tolist(), strict=True)
+        ]
+        sound = [i for i, message in enumerate(messages) if message]
+        return batch_of(batch.topic[sound], batch.log_time_ns[sound], [messages[i] for i in sound])
 
     def close(self) -> None:
         """See `Bag`."""

@@ -55,7 +55,7 @@ class LossCounts:
     disk: int = 0
     """The disk was full or refused to write."""
     middleware: int = 0
-    """The middleware reported them as lost."""
+    """The middleware has not delivered them."""
 
     @property
     def total(self) -> int:
@@ -413,15 +413,19 @@ class BagRecorder:
         *,
         overwrite: bool = False,
         warn: Callable[[str], None] = lambda _: None,
+        progress: Callable[[], None] = lambda: None,
         free_space: Callable[[], int] | None = None,
         opener: FileOpener = open_unbuffered,
     ) -> None:
-        """Start recording. The writing thread calls `warn`; tests replace the disk with `free_space` [B] and `opener`.
+        """Start recording. The writing thread calls `warn`, and `progress` some ten times a second while it is at work.
+
+        Tests replace the disk with `free_space` [B] and `opener`.
 
         Raises OutputError if `folder` exists and `overwrite` is false, or if it cannot be created.
         """
         self.folder = folder
         self._options = options or RecorderOptions()
+        self._progress = progress
         self._topics: list[RecordedTopic] = []
         self._queue: list[tuple[int, int, int, bytes]] = []
         self._queued_bytes = self._queued_messages = 0
@@ -471,7 +475,7 @@ class BagRecorder:
         return True
 
     def count_lost_by_middleware(self, topic: int, count: int) -> None:
-        """Count messages that the middleware reports as lost."""
+        """Count messages that the middleware has not delivered."""
         self._topics[topic].lost.middleware += count
 
     @property
@@ -555,6 +559,7 @@ class BagRecorder:
                     self._wake.wait(min(POLL_S, self._options.flush_period_s))
                 closing = self._closing
                 messages, self._queue = self._queue, []
+            self._progress()
             size = 0
             for topic, log_time_ns, sequence, data in messages:
                 self._writer.write(topic, log_time_ns, sequence, data)
@@ -569,4 +574,5 @@ class BagRecorder:
         now_ns = time.monotonic_ns()
         if now_ns >= self._flush_due_ns:
             self._writer.flush(now_ns)
+            self._progress()
             self._flush_due_ns = time.monotonic_ns() + round(self._options.flush_period_s * NS)

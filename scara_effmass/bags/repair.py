@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Repair incomplete bags: make index, summary and metadata from the readable content."""
 
-import json
 import os
 from collections.abc import Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from secrets import token_hex
 
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
@@ -58,6 +58,8 @@ def repair(path: Path) -> RepairReport:
 
     Raises BagError if there is no MCAP bag, OutputError if it is being recorded or cannot be written.
     """
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise BagError(f"{path}: is a device or a pipe; must be an MCAP file or a rosbag2 folder")
     match = SPLIT_NAME.fullmatch(path.name)
     is_split_file = path.is_file() and match is not None and match["name"] == path.parent.resolve().name
     bag = path.parent if is_split_file else path
@@ -96,10 +98,10 @@ def _repair_file(path: Path) -> tuple[FileRepair, BagFile]:
         raise OutputError(f"{path}: is being recorded; stop the recorder first")
     if (content := _complete_file(path)) is not None:
         return FileRepair(path, intact=True, messages=content.count), content
-    unfinished = path.with_name(f".{path.name}.repaired")
+    unfinished = path.with_name(f".{path.name}-{token_hex(4)}.repaired")
     try:
         losses = LossLog()
-        with path.open("rb") as file, unfinished.open("wb") as output:
+        with path.open("rb") as file, unfinished.open("xb") as output:
             copy = McapCopy(path, file, output, losses)
             output.flush()
             os.fsync(output.fileno())
@@ -164,6 +166,6 @@ def _recorded_losses(files: Sequence[FileRepair]) -> dict[str, str]:
             for record in SeekingReader(file).iter_metadata():
                 if record.name == LOSSES_RECORD:
                     losses = record.metadata
-    with suppress(json.JSONDecodeError):
+    with suppress(ValueError, RecursionError):
         return losses_custom_data(losses)
     return {}

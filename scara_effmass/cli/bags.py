@@ -187,7 +187,9 @@ def _import_joint_states(args: argparse.Namespace) -> int:
     if len(args.files) > 1:
         raise SettingsError(f"--joints = {args.joints}: must belong to one file, not to {len(args.files)}")
     (path,) = args.files
-    imported = write_joint_state_bag(path, args.joints, args.output, overwrite=args.force)
+    imported = write_joint_state_bag(
+        path, args.joints, args.output, rate=args.rate or 0.0, header=args.header is not False, overwrite=args.force
+    )
     span = f"{imported.first_stamp_s:.3f} to {imported.last_stamp_s:.3f} s"
     velocity = "with velocities" if imported.has_velocity else "without velocities (assess --velocity from-positions)"
     lines = [("/joint_states", f"{path.name}: {imported.joint_states} joint states, {span}, {velocity}")]

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
-from scara_effmass.analysis.output import check_output_files
+from scara_effmass.analysis.output import check_output_files, check_output_path
 from scara_effmass.analysis.report import figure_files
 from scara_effmass.cli.console import print_result
 from scara_effmass.cli.tasks import Advance, Run, open_run, raised
@@ -27,10 +27,11 @@ from scara_effmass.studies.evidence import (
 def run(args: argparse.Namespace) -> int:
     """Simulate the impacts that the table lacks, write the report, and print a summary."""
     table = args.output / TABLE
+    check_output_path(table, overwrite=True)  # what exists is continued
+    reports = [PAGE, SUMMARY, *figure_files([FIGURE])]
+    check_output_files(args.output, reports, overwrite=args.force or table.exists())
     if args.force:
         table.unlink(missing_ok=True)
-    elif not table.exists():
-        check_output_files(args.output, [PAGE, SUMMARY, *figure_files([FIGURE])], overwrite=False)
     with open_run(args, "simulated impacts") as run_tasks:
         for _ in extend_table(table, args.seed, args.impacts, partial(_rows, run_tasks)):
             pass

@@ -15,7 +15,7 @@ import numpy as np
 from scara_effmass.analysis.advice import Advice, Motion, advise, draw_advice
 from scara_effmass.analysis.assessment import Time, assessed_rows, joint_state_topic
 from scara_effmass.analysis.coverage import Coverage
-from scara_effmass.analysis.output import check_output_files
+from scara_effmass.analysis.output import check_output_files, check_output_path
 from scara_effmass.analysis.report import figure_files, report_figure, write_report_files
 from scara_effmass.analysis.tables import provenance
 from scara_effmass.bags.files import bag_bytes, find_bags, open_bag
@@ -75,6 +75,7 @@ def _advise(args: argparse.Namespace) -> int:
     summary = {**result, "segments": rows, "provenance": origin}
     write_report_files(args.output, {TABLE: table.getvalue(), SUMMARY: summary}, [figure], overwrite=args.force)
     if missing:
+        check_output_path(args.output / BAG, overwrite=True)
         (args.output / BAG).unlink(missing_ok=True)  # of an earlier run
     else:
         note = f"generated: the motion of {args.bag}, re-timed by advise; no robot moved so"

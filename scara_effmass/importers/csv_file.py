@@ -1,54 +1,75 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Force from a CSV file with a header row, a column of times and a column of force."""
+"""Force from a CSV file: a column of force, and one of times or a constant rate."""
 
 import csv
-import math
 import re
 from array import array
 from collections.abc import Iterator, Sequence
-from itertools import chain
+from functools import partial
+from itertools import chain, islice, pairwise
 from pathlib import Path
 
 import numpy as np
 
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.importers.force_file import UNITS, ForceFile, select_unit, uniform_samples
+from scara_effmass.importers.times import MAX_DIGITS, Numbers, time_ns
+from scara_effmass.input_files import check_regular_file
 from scara_effmass.settings import ImportSettings
 from scara_effmass.wire.cdr import MAX_SEC, NS
 
 Rows = Iterator[tuple[int, list[str]]]
 
-DELIMITERS = ",;\t"
+DELIMITERS = "\t;,"
 NS_PER_UNIT = {"s": NS, "sec": NS, "ms": 1_000_000, "us": 1000, "µs": 1000, "ns": 1}
 BINARY_CHECK = 4096
 """Number of characters at the start of a file by which text is recognized."""
-MAX_DIGITS = 20
-"""Maximum number of digits of an integer time; longer ones are read as floats."""
+MAX_LINE = 1 << 22
+"""Number of characters that no line reaches."""
+DELIMITER_ROWS = 5
+"""Number of rows that show the delimiter."""
+DIGITS = "must be digits with a decimal point, or one decimal comma in a file separated by ; or tab"
 
 BRACKETED = re.compile(r".*[(\[]\s*([^()\[\]]*?)\s*[)\]]\s*")
 SUFFIXED = re.compile(r".*_([A-Za-z]+)\s*")
+REPEATED = re.compile(r"\.\d+$")
+"""What pandas appends to a name that another column has."""
+WORD = re.compile(r"[^\W_]+")
+TIME_WORDS = {"t", "time", "times", "timestamp", "stamp", "date", "datetime", "elapsed", "zeit", "zeitstempel", "datum"}
+COUNTER = re.compile(r"(?i)(#|no|nr|n|i|index|idx|samples?|count|counter|row|id|nummer)\.?")
 LOWER_CASE = {unit.lower(): unit for unit in (*UNITS, *NS_PER_UNIT)}
 
 
 def open_csv(path: Path, settings: ImportSettings) -> ForceFile:
-    """Read the column `settings.topic` at the times in `settings.time_column`.
+    """Read the column `settings.topic` at the times in `settings.time_column`, or at a constant `settings.rate`.
 
-    Fields are separated by comma, semicolon or tab. The header states units, as in "Force (N)" or "force_n"; times
-    without a unit are in seconds. Rows without time or force are skipped. Raises BagError or SettingsError.
+    Fields are separated by comma, semicolon or tab; with the last two, numbers may have a decimal comma. The header
+    states units, as in "Force (N)" or "force_n"; times without a unit are in seconds, or in ISO 8601. Without header,
+    columns are numbered from 0. Rows without time or force are skipped. Raises BagError or SettingsError.
     """
-    header, rows = _read(path)
-    time = _column(header, settings.time_column or header[0], "time_column", path)
-    force = _column(header, settings.topic or _force_column(header, time, path), "topic", path)
+    header, rows, delimiter = _read(path, has_header=settings.header)
+    if settings.rate and settings.time_column:
+        raise SettingsError(f"{path}: rate = {settings.rate:g}: must be empty, time_column has the times")
+    stated = _column(header, settings.time_column, "time_column", path) if settings.time_column else None
+    topic = settings.topic or _force_column(header, stated, path, has_times=not settings.rate)
+    force = _column(header, topic, "topic", path)
+    time = stated if stated is not None or settings.rate else _time_column(header, force, path)
     if time == force:
         raise SettingsError(f"{path}: topic = time_column = {header[time]}: must be two columns")
     origin = f"{path}: {header[force]}"
     unit = select_unit(settings.unit, _unit(header[force]), origin)
-    time_unit = _unit(header[time]) or "s"
-    if time_unit not in NS_PER_UNIT:
-        raise BagError(f"{path}: {header[time]}: has the unit {time_unit}; must be one of {', '.join(NS_PER_UNIT)}")
     # A long file has millions of rows; these arrays need 16 bytes for each.
     stamps_ns, values = array("q"), array("d")
-    for stamp_ns, value in _samples(path, header, rows, time, force, NS_PER_UNIT[time_unit]):
+    number = Numbers(delimiter)
+    if time is None:
+        samples = _samples_at_rate(path, header, rows, force, settings.rate, number)
+    else:
+        time_unit = _unit(header[time]) or "s"
+        if time_unit not in NS_PER_UNIT:
+            rule = f"must be one of {', '.join(NS_PER_UNIT)}; without times, state --rate HZ"
+            raise BagError(f"{path}: {header[time]}: has the unit {time_unit}; {rule}")
+        samples = _samples(path, header, rows, time, force, NS_PER_UNIT[time_unit], number)
+    for stamp_ns, value in samples:
         stamps_ns.append(stamp_ns)
         values.append(value)
     try:
@@ -58,63 +79,142 @@ def open_csv(path: Path, settings: ImportSettings) -> ForceFile:
     return ForceFile(f"{path.name}, {header[force]}", unit, sample_rate, blocks)
 
 
-def _read(path: Path) -> tuple[list[str], Rows]:
-    """Return the header, and an iterator over the rows below it with their line numbers."""
+def _read(path: Path, *, has_header: bool) -> tuple[list[str], Rows, str]:
+    """Return the header, an iterator over the rows below it with their line numbers, and the delimiter."""
     lines = _lines(path)
     numbered = enumerate(lines)
     start, first = next(((n, line) for n, line in numbered if line.strip() and not line.startswith("#")), (0, ""))
     if not first:
         raise BagError(f"{path}: is empty; must have a header row and rows of numbers")
-    delimiter = max(DELIMITERS, key=lambda mark: len(next(csv.reader([first], delimiter=mark))))
-    rows = _rows(path, start, chain([first], lines), delimiter)
-    _, header = next(rows)
-    if len(header) < 2:
+    head = [first, *islice(lines, DELIMITER_ROWS)]
+    delimiter = max(DELIMITERS, key=partial(_fit, head, has_header=has_header))
+    rows = _rows(path, start, chain(head, lines), delimiter)
+    line, header = next(rows)
+    if len(header) < 2 and has_header:
         raise BagError(f"{path}: line {start + 1}: has one column; must have times and force, separated by , ; or tab")
-    if all(_is_number(name) for name in header if name):
-        raise BagError(f"{path}: line {start + 1}: has numbers; must be a header with the names of the columns")
-    return header, rows
+    if not has_header:
+        return [*map(str, range(len(header)))], chain([(line, header)], rows), delimiter
+    if all(_is_number(name, delimiter) for name in header if name):
+        rule = "must be a header with the names of the columns; without one, use --no-header"
+        raise BagError(f"{path}: line {start + 1}: has numbers; {rule}")
+    return header, rows, delimiter
+
+
+def _fit(head: Sequence[str], delimiter: str, *, has_header: bool) -> tuple[float, int]:
+    """Return how well a delimiter fits: the share of numbers in the first rows, and the number of columns."""
+    try:
+        first, *rows = ([cell.strip() for cell in row] for row in csv.reader(head, delimiter=delimiter) if row)
+    except (csv.Error, ValueError):
+        return -1.0, 0
+    cells = [cell for row in ([] if has_header else [first]) + rows for cell in row if cell]
+    share = sum(_is_number(cell, delimiter) for cell in cells) / len(cells) if cells and len(first) > 1 else 0.0
+    return share, len(first)
 
 
 def _lines(path: Path) -> Iterator[str]:
+    check_regular_file(path, BagError)
     try:
         # Names of other columns may be in any encoding.
         with path.open(encoding="utf-8-sig", errors="replace") as file:
             if "\0" in file.read(BINARY_CHECK):
                 raise BagError(f"{path}: must be text in UTF-8")
             file.seek(0)
-            yield from file
+            number = 0
+            while line := file.readline(MAX_LINE):
+                number += 1
+                if len(line) == MAX_LINE:
+                    raise BagError(f"{path}: line {number}: must have fewer than {MAX_LINE} characters")
+                yield line
     except OSError as error:
         raise BagError(f"{path}: cannot be read: {error.strerror}") from None
 
 
 def _rows(path: Path, start: int, lines: Iterator[str], delimiter: str) -> Rows:
+    """Yield line number and cells of each row. Raises BagError for a row with more cells than the first one."""
     reader = csv.reader(lines, delimiter=delimiter)
+    columns = 0
     try:
         for row in reader:
-            if row:
-                yield start + reader.line_num, [cell.strip() for cell in row]
+            if not row:
+                continue
+            cells = [cell.strip() for cell in row]
+            columns = columns or len(cells)
+            if any(cells[columns:]):
+                problem = f"has {len(cells)} fields, the first row {columns}: must be as many"
+                remedy = "; a decimal comma needs ; or tab between the columns" if delimiter == "," else ""
+                raise BagError(f"{path}: line {start + reader.line_num}: {problem}{remedy}")
+            yield start + reader.line_num, cells
     except csv.Error as error:
         raise BagError(f"{path}: line {start + reader.line_num}: is not CSV: {error}") from None
 
 
 def _column(header: Sequence[str], name: str, key: str, path: Path) -> int:
+    """Return the number of the column with this name, or with this number from 0."""
     if header.count(name.strip()) == 1:
         return header.index(name.strip())
-    problem = "must be a name that only one column has" if name.strip() in header else "must be one of"
+    if name.strip() not in header and name.isdecimal() and len(name) < MAX_DIGITS and int(name) < len(header):
+        return int(name)
+    problem = (
+        "must be a name that only one column has, or its number from 0:" if name.strip() in header else "must be one of"
+    )
     raise SettingsError(f"{path}: {key} = {name}: {problem} {', '.join(header)}")
 
 
-def _force_column(header: Sequence[str], time: int, path: Path) -> str:
+def _force_column(header: Sequence[str], time: int | None, path: Path, *, has_times: bool) -> str:
     """Return the only column that can be force; columns with a unit of force have priority."""
-    others = [name for number, name in enumerate(header) if number != time]
+    times = {time} if time is not None else set(_time_columns(header)) or ({0} if has_times else set())
+    others = [name for number, name in enumerate(header) if number not in times]
     candidates = [name for name in others if _unit(name) in UNITS] or others
     if len(candidates) == 1:
         return candidates[0]
-    raise SettingsError(f"{path}: topic is empty: must be one of {', '.join(candidates)}")
+    raise SettingsError(f"{path}: topic is empty: must be one of {', '.join(candidates or header)}")
+
+
+def is_time_name(name: str) -> bool:
+    """Return whether a column or channel has a name of times."""
+    return bool(TIME_WORDS & _words(name))
+
+
+def _words(name: str) -> set[str]:
+    return set(WORD.findall(name.lower()))
+
+
+def _time_columns(header: Sequence[str]) -> list[int]:
+    return [
+        n for n, name in enumerate(header) if _unit(name) in NS_PER_UNIT or (is_time_name(name) and not _unit(name))
+    ]
+
+
+def _time_column(header: Sequence[str], force: int, path: Path) -> int:
+    """Return the column with the times of the column `force`. Raises SettingsError if several may be that.
+
+    In a file of several blocks, it shares a word with the force ("A: Time", "A: Force"), or each block begins with it.
+    """
+    times = _time_columns(header)
+    if len(times) == 1:
+        return times[0]
+    if not times:
+        if COUNTER.fullmatch(header[0]):
+            raise SettingsError(
+                f"{path}: {header[0]}: counts, and no column has times; state --rate HZ or --time-column"
+            )
+        return 0
+    shared = {n: len(_words(header[n]) & _words(header[force])) for n in times}
+    best = [n for n in times if shared[n] == max(shared.values())]
+    if len(best) == 1:
+        return best[0]
+    if times == [*range(len(times))] and not any(shared.values()):  # one block, with the time in several forms
+        return 0
+    is_alternating = times[0] == 0 and force not in times and all(b - a > 1 for a, b in pairwise(times))
+    if is_alternating:
+        return max(n for n in times if n < force)
+    names = ", ".join(header[n] for n in times)
+    raise SettingsError(f"{path}: time_column is empty: must be that of {header[force]}, one of {names}")
 
 
 def _unit(name: str) -> str:
     """Return the unit at the end of a column name; empty if there is none."""
+    name = REPEATED.sub("", name)
     if match := BRACKETED.fullmatch(name):
         return match[1].replace("\u03bc", "\u00b5")  # Greek mu and micro sign look the same
     match = SUFFIXED.fullmatch(name)
@@ -122,36 +222,50 @@ def _unit(name: str) -> str:
 
 
 def _samples(
-    path: Path, header: Sequence[str], rows: Rows, time: int, force: int, ns_per_unit: int
+    path: Path, header: Sequence[str], rows: Rows, time: int, force: int, ns_per_unit: int, number: Numbers
 ) -> Iterator[tuple[int, float]]:
     """Yield the stamp [ns] and the value of each row."""
-    previous = -math.inf
+    previous_ns, previous = -MAX_SEC * NS - 1, "-inf"
     for line, row in rows:
         if len(row) <= max(time, force) or not row[time] or not row[force]:
             continue
-        value = _number(row[force], f"{path}: line {line}: {header[force]}")
+        value = _number(row[force], f"{path}: line {line}: {header[force]}", number)
         origin = f"{path}: line {line}: {header[time]}"
-        # A float has too few digits for nanoseconds since 1970.
-        is_integer = row[time].isdecimal() and len(row[time]) <= MAX_DIGITS
-        seconds = int(row[time]) if is_integer else _number(row[time], origin)
-        if not previous <= seconds < math.inf:
-            raise BagError(f"{origin} = {row[time]}: must not be less than {previous:.15g}, the time before")
-        previous = seconds
-        if abs(seconds * ns_per_unit) > MAX_SEC * NS:
-            raise BagError(f"{origin} = {row[time]}: must be within {MAX_SEC} s of 1970 or of the start")
-        yield round(seconds * ns_per_unit), value
+        try:
+            stamp_ns = time_ns(row[time], ns_per_unit, number)
+        except OverflowError:
+            raise BagError(f"{origin} = {row[time]}: must be within {MAX_SEC} s of 1970 or of the start") from None
+        except ValueError:
+            is_nan = row[time].lower().lstrip("+-") == "nan"
+            rule = f"must not be less than {previous}, the time before" if is_nan else f"{DIGITS}, or in ISO 8601"
+            raise BagError(f"{origin} = {row[time] if is_nan else repr(row[time])}: {rule}") from None
+        if stamp_ns < previous_ns:
+            raise BagError(f"{origin} = {row[time]}: must not be less than {previous}, the time before")
+        previous_ns, previous = stamp_ns, row[time]
+        yield stamp_ns, value
 
 
-def _number(text: str, origin: str) -> float:
+def _samples_at_rate(
+    path: Path, header: Sequence[str], rows: Rows, force: int, rate: float, number: Numbers
+) -> Iterator[tuple[int, float]]:
+    """Yield the stamp [ns] and the value of each row, the first one at 0; a row without a value is a lost sample."""
+    for count, (line, row) in enumerate(rows):
+        if len(row) > force and row[force]:
+            yield round(count / rate * NS), _number(row[force], f"{path}: line {line}: {header[force]}", number)
+
+
+def _number(text: str, origin: str, number: Numbers) -> float:
     try:
-        return float(text)
+        return number(text)
     except ValueError:
-        raise BagError(f"{origin} = {text!r}: must be digits with a decimal point") from None
+        raise BagError(f"{origin} = {text!r}: {DIGITS}") from None
 
 
-def _is_number(text: str) -> bool:
+def _is_number(text: str, delimiter: str) -> bool:
     try:
-        float(text)
+        time_ns(text, 1, Numbers(delimiter))
+    except OverflowError:
+        return True
     except ValueError:
-        return False
+        return text.lower().lstrip("+-") == "nan"
     return True

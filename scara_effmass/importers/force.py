@@ -44,17 +44,24 @@ def _open_tdms(path: Path, settings: ImportSettings) -> ForceFile:
     return open_tdms(path, settings)
 
 
+def _open_lvm(path: Path, settings: ImportSettings) -> ForceFile:
+    from scara_effmass.importers.lvm_file import open_lvm  # noqa: PLC0415 - lvm_read is in an extra
+
+    return open_lvm(path, settings)
+
+
 IMPORTERS: dict[str, Callable[[Path, ImportSettings], ForceFile]] = {
     ".csv": open_csv,
     ".tsv": open_csv,
     ".txt": open_csv,
     ".tdms": _open_tdms,
+    ".lvm": _open_lvm,
 }
 """Function that opens files with this suffix; all other paths must be bags."""
 
 
 def import_force(path: Path, settings: ImportSettings) -> tuple[ForceFile, Iterator[ForceBlock]]:
-    """Open a CSV or TDMS file, or a topic of wrenches or numbers in a bag; return it, and its force in newtons.
+    """Open a CSV, TDMS or LVM file, or a topic of wrenches or numbers in a bag; return it, and its force in newtons.
 
     Values that are not finite numbers count as lost samples. Raises BagError or SettingsError.
     """

@@ -24,6 +24,8 @@ IntArray = NDArray[np.int64]
 NEWTON_PER_UNIT = {"N": 1.0, "kN": 1e3, "lbf": 4.4482216152605, "kgf": 9.80665}
 """NIST SP 811, Appendix B.8."""
 VOLT_PER_UNIT = {"V": 1.0, "mV": 1e-3}
+SPELLINGS = {"newton": "N", "newtons": "N", "kilonewton": "kN", "kilonewtons": "kN", "volt": "V", "volts": "V"}
+"""Units spelled out, in lower case."""
 UNITS = (*NEWTON_PER_UNIT, *VOLT_PER_UNIT)
 
 BLOCK_TIME_S = 0.1

@@ -14,7 +14,8 @@ from pydantic import Field, StrictInt
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.importers.csv_file import NS_PER_UNIT
-from scara_effmass.input_files import read_yaml
+from scara_effmass.importers.times import Numbers, time_ns
+from scara_effmass.input_files import check_regular_file, read_yaml
 from scara_effmass.settings import checked
 from scara_effmass.settings.loading import FrozenSettings
 from scara_effmass.values import JointState
@@ -36,9 +37,13 @@ class JointColumns(FrozenSettings):
 
 
 class JointTable(FrozenSettings):
-    """Content of a mapping file; `time` is one column, or two columns with seconds and nanoseconds."""
+    """Content of a mapping file; `time` is one column, or two columns with seconds and nanoseconds.
 
-    time: Column | tuple[Column, Column]
+    A `rate` [Hz] in place of `time` is that of a file without times.
+    """
+
+    time: Column | tuple[Column, Column] | None = None
+    rate: float | None = Field(None, gt=0.0, lt=1e7)
     time_unit: Literal["s", "ms", "us", "ns"] = "s"
     delimiter: str = Field(",", min_length=1, max_length=1, pattern=r'[^"\r\n]')
     header: bool = True
@@ -55,15 +60,21 @@ class ImportedJointStates(NamedTuple):
     has_velocity: bool
 
 
-def write_joint_state_bag(path: Path, mapping: Path, output: Path, *, overwrite: bool = False) -> ImportedJointStates:
+def write_joint_state_bag(
+    path: Path, mapping: Path, output: Path, *, rate: float = 0.0, header: bool = True, overwrite: bool = False
+) -> ImportedJointStates:
     """Write the joint states in the CSV file `path` to the topic joint_states of a new bag.
 
+    A `rate` [Hz] replaces the times of the mapping; `header` false: the file has none, whatever the mapping says.
     Raises BagError, SettingsError or OutputError; no incomplete bag remains.
     """
     content = read_yaml(mapping, SettingsError)
     if not isinstance(content, Mapping):
         raise SettingsError(f"{mapping}: must hold time and joints")
+    content = dict(content) | ({"rate": rate, "time": None} if rate else {}) | ({} if header else {"header": False})
     table = checked(JointTable, content, str(mapping))
+    if (table.time is None) == (table.rate is None):
+        raise SettingsError(f"{mapping}: time: must be a column, or rate [Hz] must be given in its place (--rate)")
     has_velocity = all(joint.velocity is not None for joint in table.joints.values())
     if not has_velocity and any(joint.velocity is not None for joint in table.joints.values()):
         raise SettingsError(f"{mapping}: joints: velocity must be given for all joints, or for none")
@@ -86,13 +97,15 @@ def write_joint_state_bag(path: Path, mapping: Path, output: Path, *, overwrite:
 def _joint_states(path: Path, mapping: Path, table: JointTable) -> Iterator[tuple[int, JointState]]:
     """Yield the line number and joint state of each row; blank rows are skipped."""
     names, joints = tuple(table.joints), tuple(table.joints.values())
+    number = Numbers(table.delimiter)
+    check_regular_file(path, BagError)
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             rows = csv.reader(file, delimiter=table.delimiter, skipinitialspace=True)
             header = [name.strip() for name in next(rows, [])] if table.header else []
             index = partial(_index, mapping, header)
             stated_times = table.time if isinstance(table.time, tuple) else (table.time,)
-            times = [index(column, "time") for column in stated_times]
+            times = [index(column, "time") for column in stated_times if column is not None]
             positions = [index(joint.position, f"joints.{name}.position") for name, joint in table.joints.items()]
             velocities = [
                 index(joint.velocity, f"joints.{name}.velocity")
@@ -100,13 +113,19 @@ def _joint_states(path: Path, mapping: Path, table: JointTable) -> Iterator[tupl
                 if joint.velocity is not None
             ]
             scales = np.array([SCALES[joint.unit] for joint in joints])
-            for row in rows:
-                if not any(cell.strip() for cell in row):
-                    continue
+            columns = len(header)
+            for count, row in enumerate(row for row in rows if any(cell.strip() for cell in row)):
+                columns = columns or len(row)
+                if any(cell.strip() for cell in row[columns:]):
+                    problem = f"has {len(row)} fields, the first row {columns}: must be as many"
+                    raise BagError(f"{path}: line {rows.line_num}: {problem}; a decimal comma needs another delimiter")
                 try:
-                    stamp_ns = _stamp_ns([row[i] for i in times], NS_PER_UNIT[table.time_unit])
+                    if table.rate is None:
+                        stamp_ns = _stamp_ns([row[i].strip() for i in times], NS_PER_UNIT[table.time_unit], number)
+                    else:
+                        stamp_ns = round(count / table.rate * NS)
                     position, velocity = (
-                        np.array([float(row[i]) for i in columns]) for columns in (positions, velocities)
+                        np.array([number(row[i]) for i in numbers]) for numbers in (positions, velocities)
                     )
                 except (ValueError, IndexError, OverflowError):
                     problem = f"must have numbers in columns {sorted({*times, *positions, *velocities})}"
@@ -126,13 +145,11 @@ def _index(mapping: Path, header: list[str], column: Column, key: str) -> int:
     return header.index(column) if isinstance(column, str) else column
 
 
-def _stamp_ns(cells: list[str], ns_per_unit: int) -> int:
+def _stamp_ns(cells: list[str], ns_per_unit: int, number: Numbers) -> int:
     """Return the time in one cell, or in two with seconds and nanoseconds. Raises ValueError, OverflowError."""
-    if len(cells) > 1:
-        stamp_ns = int(cells[0]) * NS + int(cells[1])
-    else:
-        # A float has too few digits for nanoseconds since 1970.
-        stamp_ns = int(cells[0]) * ns_per_unit if cells[0].isdecimal() else round(float(cells[0]) * ns_per_unit)
+    if len(cells) == 1:
+        return time_ns(cells[0], ns_per_unit, number)
+    stamp_ns = int(cells[0]) * NS + int(cells[1])
     if abs(stamp_ns) > MAX_SEC * NS:
         raise OverflowError
     return stamp_ns

@@ -3,69 +3,212 @@
 
 import logging
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from nptdms import TdmsFile
 from nptdms.log import log_manager
+from nptdms.reader import TdmsReader, _number_of_segment_values
+from nptdms.timestamp import TdmsTimestamp
 
 from scara_effmass.errors import BagError, SettingsError
-from scara_effmass.importers.force_file import BLOCK_TIME_S, UNITS, ForceFile, SampleBlock, select_unit
+from scara_effmass.importers.csv_file import NS_PER_UNIT, is_time_name
+from scara_effmass.importers.force_file import (
+    BLOCK_TIME_S,
+    SPELLINGS,
+    UNITS,
+    ForceFile,
+    IntArray,
+    SampleBlock,
+    select_unit,
+    uniform_samples,
+)
+from scara_effmass.input_files import check_regular_file
 from scara_effmass.settings import ImportSettings
 from scara_effmass.values import FloatArray
 from scara_effmass.wire.cdr import MAX_SEC, NS
 
 MAX_SPAN_S = 1e9
+MAX_PERIOD_CHANGE = 1e-6
+"""Relative change of wf_increment that is rounding."""
 
 # nptdms also logs the errors that it raises.
 log_manager.set_level(logging.CRITICAL)
-
-SPELLINGS = {"newton": "N", "newtons": "N", "kilonewton": "kN", "kilonewtons": "kN", "volt": "V", "volts": "V"}
-"""Units spelled out, in lower case."""
 
 
 def open_tdms(path: Path, settings: ImportSettings) -> ForceFile:
     """Read the channel `settings.topic` ("group/channel") of a TDMS file.
 
-    The properties wf_increment, wf_start_time and wf_start_offset give the times, unit_string gives the unit. Raises
+    The properties wf_increment, wf_start_time and wf_start_offset give the times, unit_string gives the unit. Without
+    wf_increment, times are those of a channel of the same group (`settings.time_column`), or `settings.rate` states the
+    rate. A program that starts again and appends to its file changes the start time: the pause is a gap. Raises
     BagError or SettingsError.
     """
     file = _read(path)
     channel, name = _channel(path, file, settings.topic)
     origin = f"{path}: {name}"
-    increment = _property(channel, "wf_increment", origin)
-    if not 0.0 < increment * len(channel) < MAX_SPAN_S:
-        stated = channel.properties.get("wf_increment", "missing")
-        raise BagError(f"{origin}: wf_increment = {stated}: must be the sampling period [s]")
-    offset = _property(channel, "wf_start_offset", origin)
-    if not abs(offset) < MAX_SPAN_S:
-        raise BagError(f"{origin}: wf_start_offset = {offset:g}: must be less than {MAX_SPAN_S:g} s")
-    start = channel.properties.get("wf_start_time")
-    start_us = int(start.astype("datetime64[us]").astype(np.int64)) if isinstance(start, np.datetime64) else 0
-    start_ns = 1000 * start_us + round(offset * NS)
-    if not -MAX_SEC * NS <= start_ns <= (MAX_SEC - increment * len(channel)) * NS:
-        raise BagError(f"{origin}: wf_start_time = {start}: must be within {MAX_SEC} s of 1970")
     unit = select_unit(settings.unit, _unit(channel), origin)
     is_cut = file.file_status.incomplete_final_segment
     losses = (f"{path}: is cut off in its last segment; the rest is lost",) if is_cut else ()
-    return ForceFile(
-        description=f"{path.name}, {name}",
-        unit=unit,
-        sample_rate=1.0 / increment,
-        blocks=_blocks(np.asarray(channel[:], np.float64), start_ns, increment),
-        losses=lambda: losses,
-    )
+    samples = np.asarray(channel[:], np.float64)
+    increment = _property(channel, "wf_increment", origin)
+    if settings.rate and (increment or settings.time_column):
+        raise SettingsError(f"{origin}: rate = {settings.rate:g}: must be empty, the file has times")
+    if increment and not settings.time_column:
+        sample_rate, blocks = _waveform(path, channel, increment, samples, origin)
+    elif settings.rate:
+        sample_rate, blocks = settings.rate, _blocks(samples, 0, 1.0 / settings.rate, 0)
+    else:
+        times_ns = _times_ns(path, file, channel, settings.time_column, origin)
+        try:
+            sample_rate, blocks = uniform_samples(times_ns, samples[: len(times_ns)])
+        except ValueError as error:
+            raise BagError(f"{origin}: {error}") from None
+    return ForceFile(f"{path.name}, {name}", unit, sample_rate, blocks, losses=lambda: losses)
 
 
-def _blocks(samples: FloatArray, start_ns: int, increment: float) -> Iterator[SampleBlock]:
+def _waveform(
+    path: Path,
+    channel: Any,  # noqa: ANN401 - nptdms has no types
+    increment: float,
+    samples: FloatArray,
+    origin: str,
+) -> tuple[float, Iterator[SampleBlock]]:
+    """Return rate and blocks of a channel with waveform timing, a gap before each start but the first."""
+    if not 0.0 < increment * len(channel) < MAX_SPAN_S:
+        raise BagError(f"{origin}: wf_increment = {increment:g}: must be the sampling period [s]")
+    starts = list(_starts(path, channel, increment, origin))
+    pieces: list[tuple[int, int, int, int]] = []  # first and last sample, start [ns], lost samples before it
+    for (first, start_ns), (stop, _) in pairwise([*starts, (len(samples), 0)]):
+        lost = 0
+        if pieces:
+            begin, end, begin_ns, _ = pieces[-1]
+            gap_s = (start_ns - begin_ns) / NS - (end - begin) * increment
+            lost = round(gap_s / increment)
+            if lost < 0:
+                problem = f"sample {first}: wf_start_time is {-gap_s:.6f} s before the end of the samples before"
+                raise BagError(f"{origin}: {problem}; must advance")
+        pieces.append((first, stop, start_ns, lost))
+
+    def blocks() -> Iterator[SampleBlock]:
+        for first, stop, start_ns, lost in pieces:
+            yield from _blocks(samples[first:stop], start_ns, increment, lost)
+
+    return 1.0 / increment, blocks()
+
+
+def _starts(
+    path: Path,
+    channel: Any,  # noqa: ANN401 - nptdms has no types
+    increment: float,
+    origin: str,
+) -> Iterator[tuple[int, int]]:
+    """Yield the number of the first sample, and its time [ns], after each change of the start time."""
+    properties: dict[str, Any] = {}
+    previous: int | None = None
+    for first, changes in _segments(path, channel.path):
+        properties |= changes
+        period = _number(properties.get("wf_increment", increment), "wf_increment", origin)
+        if abs(period - increment) > MAX_PERIOD_CHANGE * increment:
+            raise BagError(f"{origin}: wf_increment changes from {period:g} to {increment:g} s: must be constant")
+        start_ns = _start_ns(properties, increment * len(channel), origin)
+        if start_ns != previous and first < len(channel):
+            yield first, start_ns
+        previous = start_ns
+
+
+def _start_ns(properties: dict[str, Any], span_s: float, origin: str) -> int:
+    offset = _number(properties.get("wf_start_offset", 0.0), "wf_start_offset", origin)
+    if not abs(offset) < MAX_SPAN_S:
+        raise BagError(f"{origin}: wf_start_offset = {offset:g}: must be less than {MAX_SPAN_S:g} s")
+    start = properties.get("wf_start_time")
+    start_us = int(start.astype("datetime64[us]").astype(np.int64)) if isinstance(start, np.datetime64) else 0
+    start_ns = 1000 * start_us + round(offset * NS)
+    if not -MAX_SEC * NS <= start_ns <= (MAX_SEC - span_s) * NS:
+        raise BagError(f"{origin}: wf_start_time = {start}: must be within {MAX_SEC} s of 1970")
+    return start_ns
+
+
+class _SegmentReader(TdmsReader):  # type: ignore[misc]
+    """Keeps the properties that each segment states; nptdms itself keeps the last ones only."""
+
+    def __init__(self, path: Path) -> None:
+        self.changes: list[dict[str, Any]] = []
+        super().__init__(str(path))
+
+    def _update_object_properties(self, segment_object_properties: Any) -> None:  # noqa: ANN401
+        self.changes.append({path: _converted(values) for path, values in (segment_object_properties or {}).items()})
+        super()._update_object_properties(segment_object_properties)
+
+
+def _converted(values: Any) -> dict[str, Any]:  # noqa: ANN401 - nptdms has no types
+    return {key: value.as_datetime64() if isinstance(value, TdmsTimestamp) else value for key, value in values}
+
+
+def _segments(path: Path, channel: str) -> Iterator[tuple[int, dict[str, Any]]]:
+    """Yield for each segment the number of its first sample of a channel, and the properties that it states."""
+    reader = _SegmentReader(path)
+    try:
+        reader.read_metadata(require_segment_indexes=True)
+        counts = [_count(segment, channel) for segment in reader._segments]  # noqa: SLF001 - nptdms has no other access
+    finally:
+        reader.close()
+    firsts = [0, *np.cumsum(counts).tolist()]
+    yield from ((first, changes.get(channel, {})) for first, changes in zip(firsts, reader.changes, strict=False))
+
+
+def _count(segment: Any, channel: str) -> int:  # noqa: ANN401 - nptdms has no types
+    number = segment.object_index.get(channel)
+    return 0 if number is None else int(_number_of_segment_values(segment.ordered_objects[number], segment))
+
+
+def _blocks(samples: FloatArray, start_ns: int, increment: float, lost: int) -> Iterator[SampleBlock]:
     size = max(1, round(BLOCK_TIME_S / increment))
     for first in range(0, len(samples), size):
         stamp_ns = start_ns + round(first * increment * NS)
-        yield SampleBlock(stamp_ns, samples[first : first + size], lost_samples=0, clock_residual=0.0)
+        yield SampleBlock(stamp_ns, samples[first : first + size], 0 if first else lost, clock_residual=0.0)
+
+
+def _times_ns(path: Path, file: Any, force: Any, name: str, origin: str) -> IntArray:  # noqa: ANN401
+    """Return the times (n,) [ns] in the channel `name`, or in the only one of the group of `force` with times."""
+    channels = {f"{group.name}/{channel.name}": channel for group in file.groups() for channel in group.channels()}
+    siblings = {full: channel for full, channel in channels.items() if channel.group_name == force.group_name}
+    if name:
+        chosen = [full for full in (name, f"{force.group_name}/{name}") if full in channels]
+    else:
+        chosen = [full for full, channel in siblings.items() if channel.path != force.path and _is_time(channel)]
+    if not name and not chosen:
+        stated = force.properties.get("wf_increment", "missing")
+        remedy = "state --rate HZ, or the channel of the times with --time-column"
+        raise BagError(f"{origin}: wf_increment = {stated}: must be the sampling period [s]; {remedy}")
+    if len(chosen) != 1:
+        setting = f"time_column = {name}" if name else "time_column is empty"
+        raise SettingsError(f"{path}: {setting}: must be one of {', '.join(chosen or channels)}")
+    channel = channels[chosen[0]]
+    if np.issubdtype(channel.dtype, np.datetime64):
+        times_ns = channel[:].astype("datetime64[ns]").astype(np.int64)
+    elif np.issubdtype(channel.dtype, np.number):
+        seconds = np.asarray(channel[:], np.float64) * (NS_PER_UNIT.get(_unit(channel) or "s", NS) / NS)
+        if not np.all(np.abs(seconds) < MAX_SEC):
+            raise BagError(f"{path}: {chosen[0]}: must be times within {MAX_SEC} s of 1970 or of the start")
+        times_ns = np.rint(seconds * NS).astype(np.int64)
+    else:
+        raise BagError(f"{path}: {chosen[0]}: must be numbers or times")
+    if len(times_ns) != len(force) or np.any(np.diff(times_ns) < 0):
+        raise BagError(f"{path}: {chosen[0]}: must be an ascending time for each of the {len(force)} samples")
+    return np.asarray(times_ns, np.int64)
+
+
+def _is_time(channel: Any) -> bool:  # noqa: ANN401 - nptdms has no types
+    if np.issubdtype(channel.dtype, np.datetime64):
+        return True
+    return np.issubdtype(channel.dtype, np.number) and (_unit(channel) in NS_PER_UNIT or is_time_name(channel.name))
 
 
 def _read(path: Path) -> Any:  # noqa: ANN401 - nptdms has no types
+    check_regular_file(path, BagError)
     try:
         return TdmsFile.read(path)
     except OSError as error:
@@ -98,7 +241,10 @@ def _unit(channel: Any) -> str:  # noqa: ANN401 - nptdms has no types
 
 
 def _property(channel: Any, name: str, origin: str) -> float:  # noqa: ANN401 - nptdms has no types
-    value = channel.properties.get(name, 0.0)
+    return _number(channel.properties.get(name, 0.0), name, origin)
+
+
+def _number(value: Any, name: str, origin: str) -> float:  # noqa: ANN401
     try:
         return float(value)
     except (TypeError, ValueError):

@@ -26,6 +26,12 @@ MAX_DELAY_NS = 5 * NS
 """A stamp whose difference to the log time deviates by more than this from the usual one is invalid."""
 CLOCK_STEP_RUN = 100
 """Number of consecutive invalid stamps that shows a clock step."""
+MIN_STEP_RUN = 5
+"""Number of stamps on each side of a jump that can show a clock step."""
+MIN_STEP_NS, MIN_STEP_PERIODS = 10_000_000, 3.0
+"""A smaller jump of the stamps, also in sampling periods, is jitter."""
+STEP_AGREEMENT = 0.5
+"""Share of a jump by which the change of the usual delay may differ from it."""
 
 
 def open_wrench_topic(path: Path, settings: ImportSettings) -> ForceFile:
@@ -39,6 +45,7 @@ def open_wrench_topic(path: Path, settings: ImportSettings) -> ForceFile:
         log_times_ns, stamps_ns, values = _read(bag, topic, settings.axis)
         component = "" if topic.type == FLOAT64 else f" force.{settings.axis}"
         if stamps_ns[:HEAD].any():
+            _check_clock(log_times_ns, stamps_ns, origin)
             stamps_ns, values = _sort(log_times_ns, stamps_ns, values, origin)
         else:
             stamps_ns = log_times_ns
@@ -111,6 +118,34 @@ def _component(force: Any, axis: str) -> float:  # noqa: ANN401 - a class that t
     return math.hypot(force.x, force.y, force.z) if axis == "norm" else float(getattr(force, axis))
 
 
+def _check_clock(log_times_ns: IntArray, stamps_ns: IntArray, origin: str) -> None:
+    """Raise BagError if the clock of the stamps steps: they jump, and keep that distance to the log times.
+
+    Without the step, a jump is a loss (the log times jump, too) or a late message (the next stamp jumps back).
+    """
+    delays_ns = stamps_ns - log_times_ns
+    steps_ns = np.diff(stamps_ns)
+    period_ns = max(0.0, float(np.median(steps_ns[:HEAD]))) if len(steps_ns) else 0.0
+    even_ns = stamps_ns - np.arange(len(stamps_ns)) * period_ns
+    min_jump_ns = max(MIN_STEP_NS, MIN_STEP_PERIODS * period_ns)
+    for first in (np.flatnonzero(np.abs(steps_ns - period_ns) > min_jump_ns) + 1).tolist():
+        if MIN_STEP_RUN <= first <= len(stamps_ns) - MIN_STEP_RUN:
+            jump_ns = _shift_ns(even_ns, first, MIN_STEP_RUN)  # of the usual stamp: not that of a late message
+            shift_ns = _shift_ns(delays_ns, first, CLOCK_STEP_RUN)
+            if abs(jump_ns) > min_jump_ns and abs(shift_ns - jump_ns) < STEP_AGREEMENT * abs(jump_ns):
+                raise BagError(f"{origin}: {_step_text(log_times_ns[first], jump_ns)}")
+
+
+def _shift_ns(values: FloatArray | IntArray, first: int, count: int) -> float:
+    """Return by how much the median of `count` values from number `first` on exceeds that of those before."""
+    return float(np.median(values[first : first + count]) - np.median(values[max(0, first - count) : first]))
+
+
+def _step_text(log_time_ns: int, step_ns: float) -> str:
+    line = f"from {log_time_ns / NS:.6f} s on, its stamps deviate by {step_ns / NS:.3f} s"
+    return f"{line}; must be recorded without a clock step"
+
+
 def _sort(log_times_ns: IntArray, stamps_ns: IntArray, values: FloatArray, origin: str) -> tuple[IntArray, FloatArray]:
     """Return stamps and values in the order of the stamps; invalid stamps are left out."""
     differences_ns = stamps_ns - log_times_ns
@@ -120,8 +155,6 @@ def _sort(log_times_ns: IntArray, stamps_ns: IntArray, values: FloatArray, origi
     for start, stop in true_runs(~valid).tolist():
         if stop - start >= CLOCK_STEP_RUN:
             at = start + CLOCK_STEP_RUN - 1
-            start_s, step_s = log_times_ns[at] / NS, deviation_ns[at] / NS
-            line = f"from {start_s:.6f} s on, its stamps deviate by {step_s:.3f} s"
-            raise BagError(f"{origin}: {line}; must be recorded without a clock step")
+            raise BagError(f"{origin}: {_step_text(log_times_ns[at], deviation_ns[at])}")
     order = np.argsort(stamps_ns[valid], kind="stable")
     return stamps_ns[valid][order], values[valid][order]

@@ -195,8 +195,8 @@ class LifecycleBase(LifecycleNode):
         """Return a subscription whose QoS parameters may override.
 
         The loss and the return of its last publisher are logged, except of a latched topic, which outlives its sender.
-        `events` are further callbacks of rclpy's SubscriptionEventCallbacks, but not `message_lost`: taking that event
-        while another message gets lost can lock the process for ever (https://github.com/ros2/rmw_fastrtps/pull/890).
+        `events` are further callbacks of rclpy's SubscriptionEventCallbacks, but not `message_lost`, which can lock the
+        process for ever: see `nodes.sequence_gaps`.
         """
 
         def on_matched(info: QoSSubscriptionMatchedInfo) -> None:

@@ -6,13 +6,14 @@ The log time of a message is its receive time on the node's clock: system time, 
 
 import math
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, final
 
-from rclpy.event_handler import QoSMessageLostInfo, SubscriptionEventCallbacks
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
@@ -24,7 +25,10 @@ from scara_effmass.bags.writer import qos_yaml
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.client import ClientNode, spin_for
+from scara_effmass.nodes.hang_guard import HangGuard
+from scara_effmass.nodes.lifecycle import with_info
 from scara_effmass.nodes.qos import qos_profile
+from scara_effmass.nodes.sequence_gaps import SequenceGaps
 from scara_effmass.settings.loading import FrozenSettings
 from scara_effmass.wire.message_types import message_class, message_definition
 from scara_effmass.wire.topics import FORCE_OUTPUTS, RECORDED, STREAM_QOS
@@ -35,6 +39,8 @@ _DRAIN_TIMEOUT_S = 10.0
 """Maximum time to record the messages that have arrived before the end."""
 _CLOCK_WARNING_AFTER = 20
 """Discoveries without /clock before a warning."""
+HANG_S = 30.0
+"""Time without progress after which the recorder is ended."""
 QUEUE_DEPTH = 5_000
 """Messages of a topic that may wait while the recorder stands still, at most what Fast DDS holds."""
 
@@ -63,12 +69,14 @@ def record(
     ros_arguments: Sequence[str] = (),
     progress: Callable[[RecordingReport, float], None] = lambda *_: None,
     warn: Callable[[str], None] = lambda _: None,
+    hang_timeout_s: float = HANG_S,
 ) -> RecordReport:
     """Record until SIGINT, SIGTERM or the end of `duration_s`, in a ROS context of its own.
 
     Without `topics`, record all except hidden ones, which have a token that begins with an underscore. `progress` is
     called about ten times a second with the report and the elapsed time [s]; `warn` is called with warnings, also from
-    another thread. Raises SettingsError or OutputError.
+    another thread. A process that stands still for `hang_timeout_s` is killed, after a line on stderr: at that time
+    neither threads nor signals can complete the bag. Raises SettingsError or OutputError.
     """
     known_types()  # slow on the first call: before messages arrive
     with ClientNode("recorder", arguments=ros_arguments) as client:
@@ -76,11 +84,12 @@ def record(
         parameters.declare(node, FrozenSettings)  # only the parameters of every node
         names = [resolve_topic(node, topic) for topic in topics]
         parents = [resolve_topic(node, topic) for topic in FORCE_OUTPUTS if topics is RECORDED]
-        with BagRecorder(folder, options, overwrite=overwrite, warn=warn) as recorder:
+        with _guarded_recorder(folder, options, overwrite, warn, hang_timeout_s) as (recorder, tick):
             topic_recorder = TopicRecorder(node, recorder, names, warn, parents, recorder.count_lost_by_middleware)
             start = time.monotonic()
             seconds = 0.0
             while not client.signals and context.ok() and recorder.is_running and seconds < duration_s:
+                tick()
                 topic_recorder.discover()
                 client.spin_for(min(duration_s - seconds, _PERIOD_S))
                 seconds = time.monotonic() - start
@@ -96,6 +105,37 @@ def record(
             refused=topic_recorder.refused,
             unpublished=tuple(sorted(set(names) - set(topic_recorder.recorded) - topic_recorder.refused.keys())),
         )
+
+
+@contextmanager
+def _guarded_recorder(
+    folder: Path,
+    options: RecorderOptions | None,
+    overwrite: bool,  # noqa: FBT001
+    warn: Callable[[str], None],
+    timeout_s: float,
+) -> Iterator[tuple[BagRecorder, Callable[[], None]]]:
+    """Give a recorder, and a function to call while the executor works.
+
+    The process is killed if the writing thread or the executor stands still for `timeout_s`.
+    """
+    last_tick_s = time.monotonic()
+
+    def tick() -> None:
+        nonlocal last_tick_s
+        last_tick_s = time.monotonic()
+
+    def beat() -> None:
+        if time.monotonic() - last_tick_s < timeout_s or not recorder.is_running:  # a closed one is only written
+            guard.beat()
+
+    rest = f"what it has saved is complete after: record --repair {folder}"
+    line = f"{folder}: the recorder has stood still for {timeout_s:g} s and is killed; {rest}"
+    with (
+        HangGuard(timeout_s, line) as guard,
+        BagRecorder(folder, options, overwrite=overwrite, warn=warn, progress=beat) as recorder,
+    ):
+        yield recorder, tick
 
 
 def resolve_topic(node: Node, topic: str) -> str:
@@ -122,8 +162,7 @@ class TopicRecorder:
     ) -> None:
         """Record `topics` and all topics below `parents`, by their full names; without topics, all that are not hidden.
 
-        `count_lost` gets the index of a topic and the number of messages that the middleware reports as lost. Leave it
-        out unless you need that number: taking the event can lock the process (see `LifecycleBase`).
+        `count_lost` gets the index of a topic and the number of messages that are missing before one that arrives.
         """
         self.refused: dict[str, str] = {}
         """Topics that are not recorded, or not from all publishers, and why."""
@@ -214,21 +253,16 @@ class TopicRecorder:
         self._subscriptions[name] = self._node.create_subscription(
             installed_class,
             name,
-            partial(self._on_message, index),
+            with_info(partial(self._on_message, index, SequenceGaps(partial(self._node.count_publishers, name)))),
             qos_profile(qos),
             raw=True,
-            event_callbacks=SubscriptionEventCallbacks(
-                message_lost=partial(self._on_message_lost, index, self._count_lost) if self._count_lost else None,
-                incompatible_qos=lambda _: self._incompatible.add(name),
-            ),
+            event_callbacks=SubscriptionEventCallbacks(incompatible_qos=lambda _: self._incompatible.add(name)),
         )
 
-    def _on_message(self, index: int, data: bytes) -> None:
+    def _on_message(self, index: int, gaps: SequenceGaps, data: bytes, info: Mapping[str, Any]) -> None:
+        if self._count_lost and (lost := gaps.lost_before(info["publication_sequence_number"])):
+            self._count_lost(index, lost)
         self._recorder.write(index, self._clock.now().nanoseconds, data)
-
-    @staticmethod
-    def _on_message_lost(index: int, count_lost: Callable[[int, int], None], lost: QoSMessageLostInfo) -> None:
-        count_lost(index, lost.total_count_change)
 
 
 def _rosbag2_qos(publisher: TopicEndpointInfo) -> dict[str, object]:

@@ -184,6 +184,8 @@ class ImportSettings(FrozenSettings):
         "unit of the values: N, kN, lbf, kgf, V or mV; empty: as the file states, N for messages",
         pattern=UNIT,
     )
-    time_column: str = tunable("", "CSV column of the times; empty: the first one")
+    time_column: str = tunable("", "CSV column, or TDMS channel, of the times; empty: that beside the force")
+    rate: float = tunable(0.0, "constant rate of a file without times [Hz]; 0: the file has times", ge=0.0, lt=1e7)
+    header: bool = tunable(True, "whether a CSV file names its columns in a header")  # noqa: FBT003
     frame_id: str = tunable("force_sensor", "frame of the sensor; its z axis points along compression")
     sensor: SensorSettings = tunable(SensorSettings(), "sensor that recorded the file")

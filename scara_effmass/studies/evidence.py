@@ -71,6 +71,10 @@ MAX_ACCELERATION, MAX_PERSON_SPEED, MAX_DAMPING, MAX_FRICTION = 5.0, 1.6, 0.6, 1
 """Of the contact point [m/s2], of the person [m/s], damping ratio and friction coefficient of the contact."""
 CONFIDENCE = 0.95
 WORST_ROWS = 20
+MAX_DIGITS = 10
+"""Number of digits that no number of an impact reaches."""
+_TEXTS = ("robot", "setting", "drives", "plate")
+_NUMBERS = ("ratio", "draws")
 
 
 class Start(NamedTuple):
@@ -271,7 +275,7 @@ def extend_table(
             text = file.read()
             lines = [line for line in text.splitlines(keepends=True) if line.endswith("\n")]
             number = lines[-1].partition(",")[0] if lines else ""
-            last = int(number) if number.isdecimal() else 0
+            last = int(number) if number.isdecimal() and len(number) < MAX_DIGITS else 0
             kept = [line for line in lines if not line.startswith(f"{last},")]
             rows = simulate(seed, last)
             header, again = ",".join(rows[0]) + "\n", _lines(rows)
@@ -317,8 +321,17 @@ class Evidence:
     """Statistics of a table of random impacts, a row per impact and setting."""
 
     def __init__(self, path: Path) -> None:
-        """Read the table that `extend_table` wrote."""
-        self.table = csv.read_csv(path)
+        """Read the table that `extend_table` wrote. Raises OutputError if it is damaged."""
+        types = {name: pa.string() for name in _TEXTS} | {name: pa.float64() for name in _NUMBERS}
+        try:
+            self.table = csv.read_csv(
+                path, convert_options=csv.ConvertOptions(column_types={**types, "index": pa.int64()})
+            )
+            is_sound = all(bool(np.isfinite(self.table[name]).all()) for name in _NUMBERS)
+        except (pa.ArrowException, OSError, KeyError, TypeError):
+            is_sound = False
+        if not (is_sound and self.table.num_rows and {"index", *_TEXTS} <= {*self.table.column_names}):
+            raise OutputError(f"{path}: is damaged: must be a table of impacts; choose another folder, or use --force")
         self.impacts = int(compute.count_distinct(self.table["index"]).as_py())
         self.robots = list(dict.fromkeys(self.table["robot"].to_pylist()))
         self.draws = int(compute.sum(self.table["draws"]).as_py()) / self.table.num_rows

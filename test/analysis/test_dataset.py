@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """A dataset assesses a recording once, again where its result is doubtful, and refuses another result in its place."""
 
+import json
+import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from scara_effmass.analysis.dataset import RECORDS, BagResult, BagTask, assess_part
+from scara_effmass.analysis.dataset import RECORDS, BagResult, BagTask, Record, assess_part, remove_unfinished
 from scara_effmass.errors import OutputError
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import MonitorSettings
@@ -67,3 +70,85 @@ def test_a_result_that_cannot_be_read_is_refused(assess: Assess, tmp_path: Path,
     record.write_text(text)
     with pytest.raises(OutputError, match="must be a result of this version"):
         assess(overwrite=True)
+
+
+def record(folder: Path) -> Path:
+    (path,) = (folder / RECORDS).iterdir()
+    return path
+
+
+def change_record(folder: Path, **changes: Any) -> None:  # noqa: ANN401 - any JSON
+    file = record(folder)
+    fields = dict(zip(Record._fields, json.loads(file.read_bytes()), strict=True)) | changes
+    file.write_text(json.dumps([*fields.values()]))
+
+
+@pytest.mark.parametrize("damage", [b"", b"PAR1", None])
+def test_a_damaged_part_is_assessed_again_and_said(assess: Assess, tmp_path: Path, damage: bytes | None) -> None:
+    assess()
+    content = part(tmp_path).read_bytes()
+    part(tmp_path).write_bytes(content[: len(content) // 2] if damage is None else damage)
+    subject, text = assess().notes[-1]
+    assert subject == "assessed again"
+    assert str(part(tmp_path)) in text
+    assert part(tmp_path).read_bytes() == content
+    assert assess().notes == []
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+@pytest.mark.parametrize(
+    "name", ["../other.parquet", "{outside}", "cell=A7/../../other.parquet", "cell=A7/day=x/{hash}"]
+)
+def test_a_result_never_names_a_file_of_others(
+    assess: Assess, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, name: str, *, overwrite: bool
+) -> None:
+    assess()
+    outside = tmp_path_factory.mktemp("outside") / f"x-{record(tmp_path).stem}.parquet"
+    beside = tmp_path.parent / "other.parquet"
+    (tmp_path / "cell=A7" / "day=x").symlink_to(outside.parent)
+    for file in (outside, beside):
+        file.write_text("mine")
+    change_record(tmp_path, key="other", part=name.format(outside=outside, hash=outside.name))
+    with pytest.raises(OutputError, match="must be a result of this version"):
+        assess(overwrite=overwrite)
+    assert outside.read_text() == beside.read_text() == "mine"
+    beside.unlink()
+
+
+def test_what_is_no_file_is_not_replaced_by_a_part(assess: Assess, tmp_path: Path) -> None:
+    assess()
+    place = part(tmp_path)
+    place.unlink()
+    os.mkfifo(place)
+    with pytest.raises(OutputError, match="must be a file"):
+        assess(overwrite=True)
+    assert place.is_fifo()
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"counts": {}},
+        {"summary": {"timeout_ns": 1, "reasons": {"x": 3}}},
+        {"summary": {"timeout_ns": 1, "reasons": {"x …": 1}, "codes": {"x …": 1}, "numbers": {"x …": []}}},
+        {"summary": {"timeout_ns": 1, "max_gap_ns": 10**400}},
+        {"part": 3},
+    ],
+)
+def test_a_damaged_result_is_refused_in_one_line(assess: Assess, tmp_path: Path, changes: dict[str, Any]) -> None:
+    assess()
+    change_record(tmp_path, **changes)
+    with pytest.raises(OutputError, match="must be a result of this version"):
+        assess()
+
+
+def test_only_unfinished_parts_of_these_recordings_are_removed(tmp_path: Path) -> None:
+    day = tmp_path / "cell=A7" / "day=2026-01-01"
+    day.mkdir(parents=True)
+    unfinished = day / f".run-{16 * 'a'}-123.parquet"
+    kept = [day / f".other-{16 * 'a'}-123.parquet", day / ".run-a-b.parquet", tmp_path / unfinished.name]
+    for file in (unfinished, *kept):
+        file.touch()
+    remove_unfinished(tmp_path, [Path("bags/run.mcap")])
+    assert not unfinished.exists()
+    assert all(file.exists() for file in kept)

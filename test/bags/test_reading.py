@@ -703,3 +703,15 @@ def test_messages_equal_those_of_rosbags(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "a.mcap", MIXED)
     with AnyReader([path]) as reader, open_bag(path) as bag:
         assert [Message(c.topic, c.msgtype, time, raw) for c, time, raw in reader.messages()] == read(bag)
+
+
+def test_sqlite_rows_without_topic_or_time_are_counted(tmp_path: Path) -> None:
+    path = single_db3(tmp_path, MIXED)
+    with closing(sqlite3.connect(path)) as database:
+        database.execute("UPDATE messages SET topic_id = 99 WHERE id IN (3, 5)")
+        database.execute("UPDATE messages SET timestamp = -1 WHERE id = 7")
+        database.commit()
+    with open_bag(path) as bag:
+        assert len(list(bag.messages())) == len(MIXED) - 3
+        assert f"{path}: 2 messages of topics that the file does not define are lost" in bag.losses
+        assert f"{path}: 1 messages without a time, or before 1970, are lost" in bag.losses

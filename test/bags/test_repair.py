@@ -324,6 +324,13 @@ class TestFolder:
         assert repair(folder).intact
 
 
+def test_a_pipe_is_refused_and_does_not_block(tmp_path: Path) -> None:
+    pipe = tmp_path / "run_0.mcap"
+    os.mkfifo(pipe)
+    with pytest.raises(BagError, match="is a device or a pipe"):
+        repair(pipe)
+
+
 def test_a_file_elsewhere_is_repaired_by_itself(tmp_path: Path) -> None:
     folder = recorded(tmp_path / "bag")
     shutil.move(folder / "bag_1.mcap", tmp_path / "bag_1.mcap")

@@ -2,6 +2,7 @@
 """`evidence`: a short run, an interrupted one, and refusals in one line."""
 
 import json
+import os
 import signal
 import subprocess
 import time
@@ -37,6 +38,16 @@ def test_report_of_another_command_is_not_replaced(cli: Cli, tmp_path: Path) -> 
     assert (result.returncode, result.stdout) == (2, "")
     assert "report.html: already exists; use --force to replace it" in result.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
+
+
+@pytest.mark.parametrize("name", ["impacts.csv", "report.html", "evidence.png"])
+def test_what_is_no_file_is_never_removed(refused: Callable[..., str], tmp_path: Path, name: str) -> None:
+    os.mkfifo(tmp_path / name)
+    assert f"{name}: is a folder, a device or a pipe" in refused(
+        "evidence", "-o", tmp_path, "--impacts", "1", "--force"
+    )
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    assert (tmp_path / name).is_fifo()
 
 
 @pytest.mark.parametrize(("option", "value"), [("--impacts", "0"), ("--seed", "-1"), ("--jobs", "0.5")])

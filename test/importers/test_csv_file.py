@@ -135,7 +135,8 @@ def test_samples_at_the_end_of_the_range_are_marked(tmp_path: Path) -> None:
         ("t,f (N)\n0,1\n", {}, r"f \(N\): has 1 samples; must have at least 2"),
         ("t,f (N)\n0,1\n1,a\n", {}, r"line 3: f \(N\) = 'a': must be digits with a decimal point"),
         ("# a\nt,f (N)\n0,1\nx,2\n", {}, "line 4: t = 'x': must be digits"),
-        ("t;f (N)\n0,5;1,25\n", {}, r"line 2: f \(N\) = '1,25': must be digits with a decimal point"),
+        ("t;f (N)\n0,5;1.25\n", {}, r"line 2: t = '0,5': must be digits with a decimal point, or one decimal comma"),
+        ("t (s),f (N)\n0,001,0,5\n", {}, "line 2: has 4 fields, the first row 2: must be as many; a decimal comma"),
         ("t,f (N)\n0,1\n1,2\n0.5,3\n", {}, "line 4: t = 0.5: must not be less than 1, the time before"),
         ("t,f (N)\nnan,1\n", {}, "line 2: t = nan: must not be less than -inf"),
         ("t,f (N)\n1,1\n1,2\n", {}, r"f \(N\): its times do not advance"),
@@ -200,5 +201,5 @@ def test_missing_file_is_refused(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize("name", ["folder.csv", "folder.tdms"])
 def test_folder_with_the_suffix_of_a_file_is_refused(tmp_path: Path, name: str) -> None:
     (tmp_path / name).mkdir()
-    with pytest.raises(BagError, match=f"{name}: cannot be read: Is a directory"):
+    with pytest.raises(BagError, match=f"{name}: cannot be read: must be a regular file"):
         imported(tmp_path / name)

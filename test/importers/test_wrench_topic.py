@@ -101,6 +101,30 @@ def test_messages_are_sorted_gaps_counted_and_invalid_stamps_left_out(tmp_path: 
     assert numbers.tolist() == (expected - expected[0]).tolist()
 
 
+@pytest.mark.parametrize("step_s", [-20.0, -5.0, -0.3, -0.05, 0.05, 0.3, 5.0])
+@pytest.mark.parametrize("burst", [1, 10])
+@pytest.mark.parametrize("at", [10, 1000, 1990])
+def test_a_clock_step_of_any_size_is_refused(tmp_path: Path, step_s: float, burst: int, at: int) -> None:
+    rng = np.random.default_rng(1)
+    stamps_ns = T0 + np.arange(2000) * 2 * MS
+    log_times_ns = T0 + np.arange(2000) // burst * burst * 2 * MS + rng.integers(0, MS, 2000)
+    stamps_ns[at:] += round(step_s * NS)
+    path = write(tmp_path / "run", wrenches(stamps_ns, np.sort(log_times_ns)))
+    with pytest.raises(BagError, match=rf"from .* s on, its stamps deviate by {step_s:.3f} s; .* without a clock step"):
+        imported(path)
+
+
+@pytest.mark.parametrize("lost", [0, 150])
+def test_a_stall_of_the_recorder_is_no_clock_step(tmp_path: Path, lost: int) -> None:
+    stamps_ns = T0 + np.arange(2000) * 2 * MS
+    log_times_ns = stamps_ns.copy()
+    log_times_ns[1000:1250] = stamps_ns[1250] + np.arange(250) * 1000  # they arrive together
+    kept = np.delete(np.arange(2000), slice(1000, 1000 + lost))
+    blocks = imported(write(tmp_path / "run", wrenches(stamps_ns[kept], log_times_ns[kept])))
+    assert sum(block.lost_samples for block in blocks) == lost
+    assert force_of(blocks) == [float(number) for number in range(2000 - lost)]
+
+
 @pytest.mark.parametrize("count", [1500, 12_000])
 def test_clock_step_during_the_recording_is_refused(tmp_path: Path, count: int) -> None:
     log_times_ns = T0 + np.arange(count) * MS

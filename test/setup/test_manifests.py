@@ -32,6 +32,7 @@ PIP_ONLY = {
     "distributed": "dask",
     "foxglove": "foxglove-sdk",
     "fsspec": "s3fs",
+    "lvm_read": "lvm-read",
     "lz4": "lz4",
     "mcap": "mcap",
     "nicegui": "nicegui",

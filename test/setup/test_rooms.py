@@ -47,6 +47,7 @@ IMPORTERS = {
     "rosbags": {"bags"},
     "foxglove": {"nodes"},
     "nidaqmx": {"daq"},
+    "lvm_read": {"importers"},
     "nptdms": {"importers"},
     "mujoco": {"sim"},
     "jinja2": {"analysis"},

@@ -74,6 +74,16 @@ def test_shares_and_intervals(write_table: Callable[..., Path]) -> None:
     assert [row["ratio"] for row in evidence.largest()[:3]] == [1.5, 1.25, 0.8]
 
 
+@pytest.mark.parametrize(
+    ("old", "new"), [("0.8,0.01", "x,0.01"), ("0.8,0.01", "nan,0.01"), ("0.8,0.01", "0.8"), ("ratio", "r")]
+)
+def test_damaged_table_is_refused(write_table: Callable[[float], Path], old: str, new: str) -> None:
+    table = write_table(0.8)
+    table.write_text(table.read_text(encoding="utf-8").replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(OutputError, match="is damaged: must be a table of impacts"):
+        Evidence(table)
+
+
 @pytest.mark.parametrize(("median", "met"), [(0.8, [False, True, True, True]), (0.7, [False, False, True, False])])
 def test_goals(write_table: Callable[..., Path], median: float, met: list[bool]) -> None:
     assert [goal[2] for goal in Evidence(write_table(median, 500)).goals()] == met

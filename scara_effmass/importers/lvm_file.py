@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Force from a LabVIEW measurement file (.lvm), a text file."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import lvm_read  # type: ignore[import-untyped]
+import numpy as np
+
+from scara_effmass.errors import BagError, SettingsError
+from scara_effmass.importers.force_file import SPELLINGS, UNITS, ForceFile, select_unit, uniform_samples
+from scara_effmass.importers.times import time_ns
+from scara_effmass.input_files import read_text
+from scara_effmass.settings import ImportSettings
+from scara_effmass.values import FloatArray
+from scara_effmass.wire.cdr import MAX_SEC, NS
+
+MAX_LVM_BYTES = 200_000_000
+X, COMMENT = "X_Value", "Comment"
+
+
+class _Channel(NamedTuple):
+    """A channel of one segment: its column, and the start [ns], X0, Delta_X [s] and unit of its header."""
+
+    name: str
+    column: int
+    start_ns: int
+    x0: float
+    dx: float
+    unit: str
+
+
+def open_lvm(path: Path, settings: ImportSettings) -> ForceFile:
+    """Read the channel `settings.topic` of an .lvm file.
+
+    Times are those of the X column, or X0 and Delta_X, after date and time of each segment, which are taken as UTC.
+    Raises BagError or SettingsError.
+    """
+    text = read_text(path, BagError, MAX_LVM_BYTES)
+    try:
+        content: dict[Any, Any] = lvm_read.read_str(text)
+        segments = [
+            (list(_channels(content, content[number])), content[number]) for number in range(content["Segments"])
+        ]
+    except BagError:
+        raise
+    except Exception as error:  # noqa: BLE001 - lvm_read raises any error at a damaged file
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise BagError(f"{path}: cannot be read as a LabVIEW measurement file: {reason}") from None
+    name = _name(path, [channel for channels, _ in segments for channel in channels], settings.topic)
+    times_ns, values, unit = [], [], ""
+    for channels, segment in segments:
+        for channel in channels:
+            if channel.name == name:
+                own_ns, samples = _samples(segment, channel)
+                times_ns.append(own_ns)
+                values.append(samples)
+                unit = unit or channel.unit
+    origin = f"{path}: {name}"
+    stamps_ns, force = np.concatenate(times_ns), np.concatenate(values)
+    if not len(force) or np.any(np.diff(stamps_ns) < 0):
+        raise BagError(f"{origin}: must have times that advance, also from segment to segment")
+    unit = select_unit(settings.unit, unit, origin)
+    try:
+        sample_rate, blocks = uniform_samples(stamps_ns, force)
+    except ValueError as error:
+        raise BagError(f"{origin}: {error}") from None
+    return ForceFile(f"{path.name}, {name}", unit, sample_rate, blocks)
+
+
+def _channels(header: dict[Any, Any], segment: dict[str, Any]) -> Iterator[_Channel]:
+    """Yield the channels of a segment. Raises any error for a damaged one."""
+    has_x = header.get("X_Columns", "One") != "No"
+    x_column = -1
+    for number, name in enumerate(segment["Channel names"]):
+        if name == X and has_x:
+            x_column = number
+        elif name not in {"", COMMENT} and number < segment["data"].shape[1]:
+            place = number if not has_x else number - 1  # of its entry in the lines of the header
+
+            def entry(key: str, place: int = place, default: Any = "") -> Any:  # noqa: ANN401
+                entries = segment.get(key, [])
+                return entries[place] if isinstance(entries, list) and 0 <= place < len(entries) else default
+
+            date, time = (entry(key) or header.get(key, "") for key in ("Date", "Time"))
+            start_ns = time_ns(f"{date} {time}".replace("/", "-"), NS) if date and time else 0
+            unit = str(entry("Y_Unit_Label"))
+            yield _Channel(
+                name,
+                number,
+                start_ns,
+                float(entry("X0", default=0.0)),
+                np.nan if x_column >= 0 else float(entry("Delta_X", default=np.nan)),
+                SPELLINGS.get(unit.lower(), unit),
+            )
+
+
+def _samples(segment: dict[str, Any], channel: _Channel) -> tuple[Any, FloatArray]:
+    """Return the stamps (n,) [ns] and values (n,) of a channel. Raises BagError."""
+    data = segment["data"]
+    values = np.asarray(data[:, channel.column], np.float64)
+    x_columns = [n for n, name in enumerate(segment["Channel names"][: channel.column]) if name == X]
+    seconds = (
+        data[:, x_columns[-1]]
+        if x_columns and np.isnan(channel.dx)
+        else channel.x0 + np.arange(len(values)) * channel.dx
+    )
+    kept = np.isfinite(seconds)
+    if not kept.any() or np.abs(seconds[kept]).max() + abs(channel.start_ns) / NS > MAX_SEC:
+        raise BagError(f"{channel.name}: Delta_X: must be the sampling period [s], or there must be a column {X}")
+    return channel.start_ns + np.rint(seconds[kept] * NS).astype(np.int64), values[kept]
+
+
+def _name(path: Path, channels: list[_Channel], topic: str) -> str:
+    """Return the channel `topic`, or the only one that can be force."""
+    names = list(dict.fromkeys(channel.name for channel in channels))
+    forces = list(dict.fromkeys(channel.name for channel in channels if channel.unit in UNITS))
+    candidates = [topic] if topic else forces or names
+    if len(candidates) == 1 and candidates[0] in names:
+        return candidates[0]
+    setting = f"topic = {topic}" if topic else "topic is empty"
+    raise SettingsError(f"{path}: {setting}: must be one of {', '.join(names)}")

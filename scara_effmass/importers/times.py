@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Times and numbers as text: seconds, ISO 8601, decimal point or comma."""
+
+import re
+from datetime import datetime, timedelta, timezone
+
+from scara_effmass.wire.cdr import MAX_SEC, NS
+
+MAX_DIGITS = 20
+"""Maximum number of digits of an integer time; longer ones are read as floats."""
+_ISO = re.compile(
+    r"(?:(\d{4})-?(\d\d)-?(\d\d)[T ]\s*)?(\d\d):?(\d\d):?(\d\d)(?:[.,](\d+))?\s*(Z|UTC|[+-]\d\d(?::?\d\d)?)?"
+)
+
+
+def iso_ns(text: str) -> int | None:
+    """Return a time in ISO 8601 [ns since 1970], without a zone in UTC, without a date after midnight; else None."""
+    match = _ISO.fullmatch(text.strip())
+    if match is None or (match[1] is None and ":" not in text):
+        return None
+    *date, hour, minute, second, fraction, zone = match.groups()
+    year, month, day = (int(part) for part in date) if date[0] else (1970, 1, 1)
+    offset = timedelta()
+    if zone and zone[0] in "+-":
+        hours, minutes = int(zone[1:3]), int(zone[3:].lstrip(":") or 0)
+        offset = timedelta(hours=hours, minutes=minutes) * (-1 if zone[0] == "-" else 1)
+    moment = datetime(year, month, day, int(hour), int(minute), 0, tzinfo=timezone.utc) - offset
+    whole = (moment - datetime(1970, 1, 1, tzinfo=timezone.utc)) // timedelta(seconds=1) + int(second)
+    return whole * NS + int((fraction or "0")[:9].ljust(9, "0"))
+
+
+class Numbers:
+    """Reads the numbers of one file, with a decimal point or, where no comma separates the columns, a decimal comma."""
+
+    def __init__(self, delimiter: str) -> None:
+        self._marks = "." if delimiter == "," else ".,"
+
+    def __call__(self, text: str) -> float:
+        """Return the number. Raises ValueError, also for the other decimal mark than the numbers before."""
+        found = {mark for mark in ".," if mark in text}
+        if not found <= set(self._marks) or len(found) > 1:
+            raise ValueError(text)
+        if found:
+            (self._marks,) = found
+        return float(text.replace(",", "."))
+
+
+def time_ns(text: str, ns_per_unit: int, number: Numbers | None = None) -> int:
+    """Return a time [ns]: a number in units of `ns_per_unit`, or ISO 8601. Raises ValueError or OverflowError."""
+    if text.isdecimal() and len(text) <= MAX_DIGITS:  # a float has too few digits for nanoseconds since 1970
+        stamp_ns = int(text) * ns_per_unit
+    else:
+        iso = iso_ns(text)
+        stamp_ns = round((number or float)(text) * ns_per_unit) if iso is None else iso
+    if abs(stamp_ns) > MAX_SEC * NS:
+        raise OverflowError(text)
+    return stamp_ns
