@@ -31,7 +31,7 @@ from scara_effmass.settings.loading import flat_fields
 from scara_effmass.wire.topics import JOINT_STATES
 
 UNASKED = {"payload_topic", "joint_names", "joint_limits", "velocity_source", "velocity_window", "contact_normal"}
-UNASKED |= {"armature", "drives", "person_direction", "accept_assumptions"}
+UNASKED |= {"armature", "drives", "person_direction", "accept_assumptions", "locked_joints", "ignored_joints"}
 """Options that few cells need."""
 SHOWN = ["robot", "joint_map", "joint_names", "contact_points", "payload_mass", "payload_com", "payload_inertia"]
 SHOWN += ["tool_links", "armature"]
@@ -128,6 +128,8 @@ def _interview(
 def _value(option: Option, text: str) -> Any:  # noqa: ANN401 - as argparse
     """Return the answer `text` as argparse would; several values are separated by commas, numbers by spaces."""
     kind, nargs, repeated = (option.keywords.get(key) for key in ("type", "nargs", "action"))
+    if repeated == "extend":
+        return [word.strip() for word in kind(text)]
     words = text.split(",") if repeated else text.split() if nargs else [text]
     values = [(kind or str)(word.strip()) for word in words]
     return values if repeated or nargs else values[0]

@@ -100,6 +100,7 @@ def build_robot(stated: RobotDescription, settings: MonitorSettings) -> Robot:
         inertias_reason=masses_reason or check.coms or check.inertias,
         notes=(*stated.notes, *load_notes, *check.notes, *rotors.notes, *filter(None, [rotors.warning])),
         stated=stated.stated,
+        held=stated.held,
     )
     judged = judge(robot)
     return replace(robot, reach=judged.reach, units_reason=judged.units, notes=(*robot.notes, *judged.notes))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import reprlib
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -22,6 +22,7 @@ from scara_effmass.input_files import read_text
 from scara_effmass.model.description import (
     CONTINUOUS_LIMIT,
     MAX_ANGLE_RAD,
+    HeldJoint,
     RobotDescription,
     RotorInertia,
     StatedLink,
@@ -104,6 +105,7 @@ def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> RobotDescri
         tip=max((frames[name] for name in (*links, *tips)), key=lambda frame: frame.parentJoint).placement,
         notes=notes,
         stated=frozenset(),
+        held=tuple(HeldJoint(name, tree.is_tool_joint(name, needed)) for name in sorted(fixed)),
     )
 
 
@@ -281,6 +283,17 @@ class UrdfTree:
             if any(self.kind(joint) != "fixed" and joint not in self.locked for joint in joints):
                 mass += link.mass
         return mass
+
+    def is_tool_joint(self, joint: str, needed: Collection[str]) -> bool:
+        """Return whether `locked_joints` name `joint`, which moves a light part of the tool, as a finger.
+
+        The joints `needed` move the contact points; they carry the tool, and none of them is a part of it.
+        """
+        link = next(link for link, (_, name) in self._parents.items() if name == joint)
+        carriers = {name for name in self.chain(link)[1:] if self.kind(name) != "fixed" and name not in self.locked}
+        mass = sum(stated.mass for stated in self.stated if joint in self.chain(stated.name))
+        is_light = mass < LIGHT_SHARE * self._mass_beyond(self.base)
+        return joint in self.locked and joint not in needed and not carriers.isdisjoint(needed) and is_light
 
     def require_movable(self, joint: str) -> None:
         """Raise RobotError if the model cannot move `joint`, which a contact point needs."""

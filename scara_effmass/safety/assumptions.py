@@ -157,7 +157,9 @@ def scope(robot: Robot, settings: MonitorSettings) -> str:
     others = [name for joint, name in enumerate(robot.joint_names, start=1) if joint not in watched]
     person = f"a person at {settings.person_speed:g} m/s" if settings.person_speed else "a person who stands still"
     text = f"slower than the allowable speed at {points}, for {person} and a load of {robot.payload_text}"
-    return f"{text}; not watched: the links behind {', '.join(others)}" if others else text
+    text += f"; not watched: the links behind {', '.join(others)}" if others else ""
+    ignored = [*settings.ignored_joints, *(joint.name for joint in robot.held if joint.is_harmless)]
+    return f"{text}; motion does not count of {', '.join(ignored)}" if ignored else text
 
 
 def deciding_mass(dynamics: RobotDynamics, model: MassModel) -> str:

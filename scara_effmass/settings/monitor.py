@@ -136,6 +136,11 @@ class MonitorSettings(FrozenSettings):
         ("*gripper*", "*finger*"),
         "joints, by name or glob pattern, fixed in the model: their mass counts, their motion does not",
     )
+    ignored_joints: tuple[str, ...] = fixed(
+        (),
+        "joints of the joint states, by name or glob pattern, whose motion is harmless although the model does not "
+        "have them; empty: one that moves gives UNKNOWN",
+    )
     tool_links: tuple[str, ...] = fixed(
         (), "links of the tool, by name or glob pattern: their mass belongs to m_L instead of M (M/2 + m_L)"
     )
