@@ -102,9 +102,9 @@ class TestRobotFiles:
         assert robot.masses_reason
         assert robot.iso_mass == pytest.approx(4.0 / 2.0 + 1.5)
 
-    def test_moving_mimic_joint_raises(self, load_urdf_file: Callable[..., Robot]) -> None:
-        with pytest.raises(RobotError, match=r"joint panda_finger_joint2: must not mimic another joint"):
-            load_urdf_file("panda.urdf", locked_joints=(), contact_points=("panda_rightfinger",))
+    def test_finger_that_mimics_is_held(self, load_urdf_file: Callable[..., Robot]) -> None:
+        robot = load_urdf_file("panda.urdf", locked_joints=(), contact_points=("panda_rightfinger",))
+        assert robot.joint_names[-1] == "panda_joint7"
 
 
 def test_urdf_agrees_with_eq_27(along: Callable[..., ContactState]) -> None:
