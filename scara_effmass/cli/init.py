@@ -32,6 +32,7 @@ from scara_effmass.wire.topics import JOINT_STATES
 
 UNASKED = {"payload_topic", "joint_names", "joint_limits", "velocity_source", "velocity_window", "contact_normal"}
 UNASKED |= {"armature", "drives", "person_direction", "accept_assumptions", "locked_joints", "ignored_joints"}
+UNASKED |= {"moving_mass"}
 """Options that few cells need."""
 SHOWN = ["robot", "joint_map", "joint_names", "contact_points", "payload_mass", "payload_com", "payload_inertia"]
 SHOWN += ["tool_links", "armature"]

@@ -2,7 +2,7 @@
 """A last joint that moves a light end, such as a jaw, counts as locked in the mass matrix: a free one would decide.
 
 The end is light beside the arm, the other joints move its contact point in all directions, and free it is much lighter
-than locked. At a contact point that is stated, the last joint counts as it is: a tool may end beside the axis of a wrist.
+than locked. At a contact point that is stated, the last joint counts as it is: a tool may end beside a wrist's axis.
 """
 
 from collections.abc import Iterator
@@ -14,7 +14,7 @@ import pinocchio as pin
 from scara_effmass.model.robot import Robot
 
 LIGHT_SHARE = 0.1
-"""Share of the moving mass below which an end is light."""
+"""Share of the moving mass, without the heaviest body, below which an end is light."""
 MIN_RATIO = 2.0
 """Ratio of the masses, locked over free, from which on the free joint would decide."""
 MIN_MOBILITY = 0.05
@@ -36,8 +36,8 @@ def hold_light_ends(robot: Robot) -> Robot:
     for joint, point, free, locked in ends:
         matrix[joint - 1, joint - 1] += LOCKING * max(largest, robot.moving_mass)
         notes.append(
-            f"{model.names[joint]} counts as locked in the masses, not in the motion: free it would make {point} light, "
-            f"typically {free:.3g} in place of {locked:.3g} kg"
+            f"{model.names[joint]} counts as locked in the masses, not in the motion: free it would make {point} "
+            f"light, typically {free:.3g} in place of {locked:.3g} kg"
         )
     model.armature = np.diag(matrix)
     return replace(robot, model=model, rotors=replace(robot.rotors, matrix=matrix), notes=(*robot.notes, *notes))
@@ -46,10 +46,11 @@ def hold_light_ends(robot: Robot) -> Robot:
 def _light_ends(robot: Robot) -> Iterator[tuple[int, str, float, float]]:
     """Yield joint, contact point, and typical mass [kg] with the joint free and locked, of each light end."""
     model, seen = robot.model, set[int]()
+    arm_mass = robot.moving_mass - max(float(body.mass) for body in model.inertias)
     ends = set(range(1, model.njoints)) - set(model.parents)
     for point, frame in robot.contact_frames.items():
         joint = model.frames[frame].parentJoint
-        if joint in seen or joint not in ends or model.inertias[joint].mass >= LIGHT_SHARE * robot.moving_mass:
+        if joint in seen or joint not in ends or model.inertias[joint].mass >= LIGHT_SHARE * arm_mass:
             continue
         free, locked = _typical_masses(robot, frame, joint - 1)
         if locked >= MIN_RATIO * free:

@@ -40,6 +40,8 @@ _MAX_NUMBER = 1e6
 """Largest magnitude of a length, mass or inertia [SI]; beyond it the dynamics overflow."""
 LIGHT_SHARE = 0.1
 """Share of the moving mass below which joints beyond a contact point may be held in the model."""
+MAX_FINGER_JOINTS = 4
+"""Largest number of joints of a finger."""
 ALIKE = 2.0
 """Ratio of masses up to which branches are fingers of one gripper."""
 _ROTOR_INERTIA = ("rotor_inertia", "motorInertia")
@@ -274,13 +276,16 @@ class UrdfTree:
         return min(self._ends(link))[2]
 
     def _ends(self, link: str) -> list[tuple[int, int, str]]:
-        """Return the ends of the chains from `link` outwards, with less for more moving joints, then for more joints."""
-        free = {name: parent for name, (parent, joint) in self._parents.items() if joint not in self.locked}
+        """Return the ends of the chains from `link` outwards, least first: most moving joints, then most joints."""
+        # What is locked below all moving joints, such as a base, ends no chain.
+        ends = {joint for joint in self.locked if self._moving_above(joint) - self.locked}
+        free = {name: parent for name, (parent, joint) in self._parents.items() if joint not in ends}
         ranked = []
         for end in free.keys() - set(free.values()) | {link}:
             beyond = self._joints_beyond(link, end)
-            if (beyond or end == link) and self.locked.isdisjoint(beyond):
-                ranked.append((-sum(self.kind(joint) != "fixed" for joint in beyond), -len(beyond), end))
+            if (beyond or end == link) and ends.isdisjoint(beyond):
+                moving = sum(self.kind(joint) != "fixed" and joint not in self.locked for joint in beyond)
+                ranked.append((-moving, -len(beyond), end))
         return sorted(ranked)
 
     def tip_beyond(self, link: str) -> str:
@@ -315,7 +320,7 @@ class UrdfTree:
 
     def notes_on_tip(self, link: str) -> list[str]:
         """Return notes on the choice of `link` as the contact point."""
-        joints = [joint for joint in self.chain(link)[::-1] if self.kind(joint) != "fixed"]
+        joints = [name for name in self.chain(link)[::-1] if self.kind(name) != "fixed" and name not in self.locked]
         notes = [
             f"contact point {link}: the tip of the longest chain (set contact_points for another): {', '.join(joints)}"
         ]
@@ -328,7 +333,8 @@ class UrdfTree:
         """Return the joints of grippers at the end of an arm, whatever their names.
 
         An arm ends at a light joint that mimics or is mimicked, and where it branches into light fingers: two or more
-        joints on one rigid body with equally many joints beyond and similar masses.
+        joints on one rigid body with equally many joints beyond, not more than a finger has, and similar masses.
+        Wheels on a body that carries an arm, too, are none.
         """
         moving = {name for name in self.joints if self.kind(name) != "fixed"}
         mimics = {name: self.joints[name].find("mimic") for name in moving}
@@ -338,21 +344,27 @@ class UrdfTree:
         for link in self.links:
             for depth, name in enumerate((name for name in self.chain(link) if name in moving), start=1):
                 depths[name] = max(depths[name], depth)
-        fingers: dict[tuple[str, int], list[str]] = {}
+        branches: dict[str, list[str]] = {}
         for name in moving - self.named:
-            fingers.setdefault((self._body_above(name), depths[name]), []).append(name)
+            branches.setdefault(self._body_above(name), []).append(name)
         starts = coupled & moving
-        for names in fingers.values():
-            masses = [self._masses[name] for name in names]
-            if len(names) > 1 and self._is_light(sum(masses)) and max(masses) <= ALIKE * min(masses):
+        for names in branches.values():
+            deepest = max(depths[name] for name in names)
+            masses = [self._masses[name] for name in names if depths[name] == deepest]
+            are_alike = len(masses) > 1 and max(masses) <= ALIKE * min(masses)
+            if are_alike and deepest <= MAX_FINGER_JOINTS and self._is_light(sum(self._masses[name] for name in names)):
                 starts.update(names)
         starts = {name for name in starts if self._moving_above(name) and self._is_light(self._masses[name])}
         return {name for name in moving if name in starts or self._moving_above(name) & starts}
 
     def _is_light(self, mass: float) -> bool:
-        """Return whether `mass` [kg] is less than LIGHT_SHARE of what moves; of a robot without masses nothing is."""
-        total = max((self._masses[name] for name in self.joints if self.kind(name) != "fixed"), default=0.0)
-        return mass < LIGHT_SHARE * total
+        """Return whether `mass` [kg] is less than LIGHT_SHARE of what moves without its heaviest link, as a base is.
+
+        Of a robot without masses nothing is light.
+        """
+        moving = {name for name in self.joints if self.kind(name) != "fixed"}
+        masses = [link.mass for link in self.stated if moving.intersection(self.chain(link.name))]
+        return mass < LIGHT_SHARE * (sum(masses) - max(masses, default=0.0))
 
     def _moving_above(self, joint: str) -> set[str]:
         """Return the joints that move the parent link of `joint`."""
@@ -368,9 +380,10 @@ class UrdfTree:
     def require_movable(self, joint: str) -> None:
         """Raise RobotError if the model cannot move `joint`, which a contact point needs."""
         kind = self.kind(joint)
-        if kind not in {*MOVING, "fixed"}:
+        if kind not in {*MOVING, "fixed"} and joint not in self.locked:
             raise RobotError(
-                f"{self.origin}: joint {joint}: type = {kind!r}: must be one of {', '.join(MOVING)}, fixed"
+                f"{self.origin}: joint {joint}: type = {kind!r}: must be one of {', '.join(MOVING)}, fixed: describe it by "
+                "prismatic and continuous joints, or, if it never moves, hold it by locked_joints"
             )
         if kind != "fixed" and joint not in self.locked and self.joints[joint].find("mimic") is not None:
             raise RobotError(f"{self.origin}: joint {joint}: must not mimic another joint: fix it with locked_joints")
