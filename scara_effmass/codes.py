@@ -18,6 +18,7 @@ class Reason(IntEnum):
     NAMED_TWICE = 4  # detail: name
     MISSING_JOINT = 5  # joint; detail: suggested joint_map
     SEVERAL_NAMES = 6  # detail: reported and possible names
+    OTHER_ARM = 7  # detail: names that continue those of the robot's joints
     POSITION_COUNT = 10  # values: positions, names
     VELOCITY_COUNT = 11  # values: velocities, names
     NO_VELOCITY = 12
@@ -45,6 +46,7 @@ class Reason(IntEnum):
     NO_JOINT_STATE = 42
     ONLY_OTHER_JOINTS = 43  # values: duration [s], joint states of other devices; detail: their names
     OTHER_JOINTS_SINCE = 44  # the same, after joint states of the robot
+    UNMODELLED_MOTION = 45  # detail: joint outside the model
     NO_MASSES = 50
     NO_LUMPED_MASS = 51  # values: why there is none
     NO_FULL_MASS = 52

@@ -33,6 +33,7 @@ from scara_effmass.wire.topics import JOINT_STATES
 UNASKED = {"payload_topic", "joint_names", "joint_limits", "velocity_source", "velocity_window", "contact_normal"}
 UNASKED |= {"armature", "drives", "person_direction", "accept_assumptions", "max_joint_acceleration", "reaction_time"}
 UNASKED |= {"contact_damping", "contact_friction"}
+UNASKED |= {"locked_joints", "ignored_joints", "moving_mass"}
 """Options that few cells need."""
 SHOWN = ["robot", "joint_map", "joint_names", "contact_points", "payload_mass", "payload_com", "payload_inertia"]
 SHOWN += ["tool_links", "armature"]
@@ -129,6 +130,8 @@ def _interview(
 def _value(option: Option, text: str) -> Any:  # noqa: ANN401 - as argparse
     """Return the answer `text` as argparse would; several values are separated by commas, numbers by spaces."""
     kind, nargs, repeated = (option.keywords.get(key) for key in ("type", "nargs", "action"))
+    if repeated == "extend":
+        return [word.strip() for word in kind(text)]
     words = text.split(",") if repeated else text.split() if nargs else [text]
     values = [(kind or str)(word.strip()) for word in words]
     return values if repeated or nargs else values[0]

@@ -62,8 +62,8 @@ def _setting_keywords(name: str, keywords: Mapping[str, Any]) -> dict[str, Any]:
     """Return help and choices of the option for the setting `name`."""
     field = _FIELDS[name]
     text, _, empty = str(field.description).partition("; empty: ")
-    text += "; may be repeated" * (keywords.get("action") == "append")
     text += "; several by commas" * (keywords.get("type") == "words")
+    text += "; may be repeated" * (keywords.get("action") in {"append", "extend"})
     found: dict[str, Any] = {}
     default = field.default
     if isinstance(default, Enum):

@@ -241,7 +241,7 @@ def check(  # noqa: C901, PLR0911 - one check after the other
     if last != NO_SEQUENCE and NO_SEQUENCE != state.sequence <= last:
         set_reason(state.reason, Reason.SECOND_PUBLISHER, 0, state.sequence, last, 0.0)
         return False
-    if check_stamp(state, rules, memory) != Reason.NONE or given > 0:
+    if check_stamp(state, rules, memory) != Reason.NONE or (given > 0 and given != Reason.UNMODELLED_MOTION):
         return False
     memory.last_stamp_ns = state.stamp_ns
     if check_range(state, motion[0], motion[1], joints):
@@ -260,7 +260,7 @@ def check(  # noqa: C901, PLR0911 - one check after the other
         is_rising = change * motion[3, i] > 0.0 and motion[1, i] * motion[3, i] > 0.0
         motion[4, i] = abs(change) if is_rising else 0.0
     elapsed_ns = state.stamp_ns - previous_ns
-    if previous_ns != 0 and elapsed_ns > rules.timeout_ns:
+    if given == Reason.NONE and previous_ns != 0 and elapsed_ns > rules.timeout_ns:
         set_reason(state.reason, Reason.GAP, 0, elapsed_ns / 1e9, 0.0, 0.0)
     return True
 
@@ -291,6 +291,8 @@ def admit(
             memory.rejected += 1
             if state.stamp_ns <= 0:
                 state.stamp_ns = state.now_ns
+        elif int(state.reason[CODE]) == Reason.UNMODELLED_MOTION:
+            state.is_admitted = 0
         elif rules.distrusted_code != 0:
             state.is_admitted = 0
             set_reason(state.reason, Reason.TWO_PUBLISHERS, 0, 0.0, 0.0, 0.0)

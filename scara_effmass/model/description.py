@@ -49,6 +49,16 @@ class StatedLink(NamedTuple):
         return any(np.allclose(self.inertia, scale * np.eye(3), rtol=1e-6, atol=0.0) for scale in (1.0, self.mass))
 
 
+class HeldJoint(NamedTuple):
+    """A joint of the robot file that is fixed in the model.
+
+    `is_harmless`: its motion moves no more than a light part of the tool, and `locked_joints` names it.
+    """
+
+    name: str
+    is_harmless: bool
+
+
 @dataclass(frozen=True)
 class RotorInertia:
     """The matrix B (n, n) [kg m2, kg for a sliding joint], the joints without a statement, and notes on the sources."""
@@ -77,8 +87,9 @@ class RobotDescription:
 
     `model` has one degree of freedom per joint; its bodies include the payload of the file, `payload_mass` [kg], but no
     rotors. `contact_points` are names with the joint that moves each point and its pose in the frame of that joint.
-    `tip` is the end of the last link in the last joint's frame. `origin` names the file in errors, and `stated` is what
-    the file states of the assumptions.
+    `tip` is the end of the last link in the last joint's frame. `origin` names the file in errors, `stated` is what the
+    file states of the assumptions, and `held` are its joints that the model does not move.
+    `may_end_in_tool`: nobody stated the contact point, and the last joint may be one of a tool, as a jaw.
     """
 
     origin: str
@@ -91,6 +102,8 @@ class RobotDescription:
     tip: pin.SE3
     notes: Sequence[str]
     stated: frozenset[Assumption]
+    held: tuple[HeldJoint, ...] = ()
+    may_end_in_tool: bool = False
 
 
 class ContactPoint(NamedTuple):

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Load a robot from a file of any format, with its load and a check of its data."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
@@ -14,7 +15,8 @@ import pinocchio as pin
 from scara_effmass.errors import RobotError
 from scara_effmass.model.description import RobotDescription, StatedLink, inertia_tensor
 from scara_effmass.model.dh import load_dh
-from scara_effmass.model.plausibility import check_inertials, judge, triangle_error
+from scara_effmass.model.light_ends import hold_light_ends
+from scara_effmass.model.plausibility import InertialCheck, check_inertials, judge, triangle_error
 from scara_effmass.model.robot import Robot
 from scara_effmass.model.urdf import load_urdf
 from scara_effmass.settings import MonitorSettings
@@ -22,6 +24,10 @@ from scara_effmass.settings.loading import nearest
 
 MAX_MOVING_JOINTS = 64
 """Largest number of joints of a model; the memory of its dynamics grows with its cube, 300 joints take 2.6 GB."""
+
+
+MAX_VIRTUAL_M = 0.03
+"""Length of a link without mass up to which it only joins two joints; a longer one lacks its mass."""
 
 
 class RobotFormat(Protocol):
@@ -64,25 +70,31 @@ def build_robot(stated: RobotDescription, settings: MonitorSettings) -> Robot:
         raise RobotError(f"{origin}: must have at least one joint that moves")
     if len(joints) > MAX_MOVING_JOINTS:
         raise RobotError(f"{origin}: {len(joints)} joints move: must be at most {MAX_MOVING_JOINTS}; lock the others")
-    if not any(link.mass > 0.0 for link in links):
-        raise RobotError(f"{origin}: the moving links have no mass: every link must have its mass and centre of mass")
+    if not settings.moving_mass and not any(link.mass > 0.0 for link in links):
+        rule = "every link must have its mass and centre of mass; or state moving_mass, for ISO's mass"
+        raise RobotError(f"{origin}: the moving links have no mass: {rule}")
     for joint in settings.position_limits:
         if joint not in joints:
             raise RobotError(f"{origin}: joint_limits = {joint!r}: {nearest(joint, joints)}")
     model = stated.model.copy()
     model.armature = np.diag(rotors.matrix)
     contact_frames = _add_contact_frames(model, stated)
-    load_notes = _add_payload(model, stated, settings)
-    check = check_inertials(links)
-    bodies = zip(joints, list(model.inertias)[1:], strict=True)
-    massless = [joint for joint, body in bodies if body.mass == 0.0]
+    tool_mass = _tool_mass(links, settings.tool_links, origin)
+    if settings.moving_mass:
+        _replace_masses(model, settings.moving_mass + tool_mass + stated.payload_mass)
+        check = InertialCheck("", "moving_mass is stated, so ISO's mass counts", "", ())
+        missing, mass_notes = [], []
+    else:
+        check = check_inertials(links)
+        missing, mass_notes = _massless(model)
+    load_notes = [*mass_notes, *_add_payload(model, stated, settings)]
     masses_reason = check.masses
-    if massless:
-        masses_reason = f"no mass behind {', '.join(massless)}: the robot is heavier than the file says"
+    if missing:
+        masses_reason = f"no mass behind {', '.join(missing)}: the robot is heavier than the file says"
     source = f"topic {settings.payload_topic}" if settings.payload_topic else "parameter payload_mass"
     payload = {
         "robot file": stated.payload_mass,
-        f"tool_links {', '.join(settings.tool_links)}": _tool_mass(links, settings.tool_links, origin),
+        f"tool_links {', '.join(settings.tool_links)}": tool_mass,
         source: settings.payload_mass,
     }
     robot = Robot(
@@ -100,9 +112,44 @@ def build_robot(stated: RobotDescription, settings: MonitorSettings) -> Robot:
         inertias_reason=masses_reason or check.coms or check.inertias,
         notes=(*stated.notes, *load_notes, *check.notes, *rotors.notes, *filter(None, [rotors.warning])),
         stated=stated.stated,
+        held=stated.held,
     )
+    if stated.may_end_in_tool:
+        robot = hold_light_ends(robot)
     judged = judge(robot)
-    return replace(robot, reach=judged.reach, units_reason=judged.units, notes=(*robot.notes, *judged.notes))
+    robot = replace(robot, reach=judged.reach, units_reason=judged.units, notes=(*robot.notes, *judged.notes))
+    if not judged.masses or robot.masses_reason:
+        return robot
+    reasons = dict.fromkeys(("masses_reason", "coms_reason", "inertias_reason"), judged.masses)
+    return replace(robot, **reasons)
+
+
+def _replace_masses(model: pin.Model, mass: float) -> None:
+    """Give the last body of `model` all of `mass` [kg], and no joint an effort limit: gravity is unknown, too."""
+    for joint in range(1, model.njoints):
+        model.inertias[joint] = pin.Inertia(mass * (joint == model.njoints - 1), np.zeros(3), np.zeros((3, 3)))
+    model.effortLimit = np.zeros(model.nv)
+
+
+def _massless(model: pin.Model) -> tuple[list[str], list[str]]:
+    """Return the joints of `model` whose links lack a mass, and notes on links that only join two joints.
+
+    Those are short, such as between the axes of a base that moves in x, y and yaw, and have mass beyond them.
+    """
+    missing, virtual = [], []
+    for joint in range(1, model.njoints):
+        if model.inertias[joint].mass > 0.0:
+            continue
+        lengths = [
+            float(np.linalg.norm(model.jointPlacements[child].translation))
+            for child in range(joint + 1, model.njoints)
+            if model.parents[child] == joint
+        ]
+        beyond = sum(model.inertias[int(body)].mass for body in model.subtrees[joint])
+        is_virtual = beyond > 0.0 and max(lengths, default=math.inf) <= MAX_VIRTUAL_M
+        (virtual if is_virtual else missing).append(model.names[joint])
+    notes = [f"links without mass, which only join two joints: behind {', '.join(virtual)}"] if virtual else []
+    return missing, notes
 
 
 def _add_contact_frames(model: pin.Model, stated: RobotDescription) -> dict[str, int]:

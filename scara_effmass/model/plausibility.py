@@ -20,8 +20,8 @@ from scara_effmass.values import FloatArray
 MAX_LINK_M, LONG_LINK_M = 10.0, 3.0
 """Length of a link that is certainly not in metres, and one that is worth a note; the other pairs likewise."""
 MIN_REACH_M = 0.05
-MAX_DENSITY, HIGH_DENSITY, LOW_DENSITY, MIN_DENSITY = 3000.0, 600.0, 1.0, 0.1
-"""Moving mass over the cube of the reach [kg/m3]."""
+MAX_DENSITY, HIGH_DENSITY, LOW_DENSITY, LIGHT_DENSITY, MIN_DENSITY = 3000.0, 600.0, 4.0, 2.0, 0.1
+"""Moving mass over the cube of the reach [kg/m3]; below LIGHT_DENSITY the masses do not count."""
 MAX_DISTANCE_M = 5.0
 """Distance of a centre of mass from its joint, or radius of gyration, if it also exceeds three reaches."""
 MIN_DEGREES, MAX_DEGREES = 50.0, 1500.0
@@ -77,22 +77,26 @@ def triangle_error(link: StatedLink) -> str:
 
 
 class Plausibility(NamedTuple):
-    """Reach [m] from the first joint, why the units are certainly not SI (empty if they may be), and doubts."""
+    """Reach [m] from the first joint, why the units are certainly not SI (empty if they may be), and doubts.
+
+    `masses` states why the masses are too small for an arm of that reach, empty if they are not.
+    """
 
     reach: float
     units: str
     notes: tuple[str, ...]
+    masses: str = ""
 
 
 def judge(robot: Robot) -> Plausibility:
     """Judge `robot` over its joint ranges; only the notes depend on the payload of the settings."""
     model, data = robot.model, robot.model.createData()
-    reach, gravity, matrices, jacobians = 0.0, np.zeros(model.nv), [], []
+    reach, arm_reach, gravity, matrices, jacobians = 0.0, 0.0, np.zeros(model.nv), [], []
+    slides = ~np.array(robot.revolute)
     for q in robot.sample_configurations():
-        pin.framesForwardKinematics(model, data, q)
-        base = data.oMi[1].translation
-        ends = [data.oMi[model.njoints - 1] * robot.tip, *(data.oMf[frame] for frame in robot.contact_frames.values())]
-        reach = max(reach, *(float(np.linalg.norm(end.translation - base)) for end in ends))
+        # The travel of a slide, such as that of a base, is no size of an arm.
+        arm_reach = max(arm_reach, _reach(robot, data, np.where(slides, np.clip(0.0, *_limits(robot)), q)))
+        reach = max(reach, _reach(robot, data, q))
         gravity = np.maximum(gravity, np.abs(pin.computeGeneralizedGravity(model, data, q)))
         if not robot.inertias_reason:
             frame = next(iter(robot.contact_frames.values()))
@@ -106,7 +110,32 @@ def judge(robot: Robot) -> Plausibility:
     if matrices:
         mobility = np.array(jacobians) @ np.linalg.pinv(np.array(matrices)) @ np.array(jacobians).swapaxes(1, 2)
         mass = float(np.median(3.0 / np.trace(mobility, axis1=1, axis2=2).clip(1e-12)))
-    return Plausibility(reach, "", (*_doubts(robot, reach, mass), *_joint_doubts(robot, gravity)))
+    notes = (*_doubts(robot, reach, arm_reach, mass), *_joint_doubts(robot, gravity))
+    return Plausibility(reach, "", notes, _too_light(robot, arm_reach))
+
+
+def _limits(robot: Robot) -> tuple[FloatArray, FloatArray]:
+    return robot.model.lowerPositionLimit, robot.model.upperPositionLimit
+
+
+def _reach(robot: Robot, data: pin.Data, q: FloatArray) -> float:
+    """Return the largest distance [m] of tip and contact points from the first joint at `q`."""
+    model = robot.model
+    pin.framesForwardKinematics(model, data, q)
+    base = data.oMi[1].translation
+    ends = [data.oMi[model.njoints - 1] * robot.tip, *(data.oMf[frame] for frame in robot.contact_frames.values())]
+    return max(float(np.linalg.norm(end.translation - base)) for end in ends)
+
+
+def _too_light(robot: Robot, reach: float) -> str:
+    """Return why the moving mass is too small for an arm with this `reach` [m], empty if it is not."""
+    mass = robot.moving_mass + robot.payload_mass
+    if mass >= LIGHT_DENSITY * max(reach, MIN_REACH_M) ** 3:
+        return ""
+    return (
+        f"{mass:.3g} kg move at a reach of {reach:.3g} m, less than half as much as in the lightest arms: correct the "
+        "masses, or state moving_mass"
+    )
 
 
 def _wrong(robot: Robot, reach: float) -> Iterator[str]:
@@ -135,16 +164,17 @@ def _wrong(robot: Robot, reach: float) -> Iterator[str]:
         yield f"{name} has a range of {width:.4g} rad: must be in radians, not in degrees"
 
 
-def _doubts(robot: Robot, reach: float, mass: float) -> Iterator[str]:
+def _doubts(robot: Robot, reach: float, arm_reach: float, mass: float) -> Iterator[str]:
     """Yield lengths, masses and inertias that may be correct, and are worth a look.
 
-    `mass` [kg] is the typical effective mass, NaN if the inertias are unknown.
+    `mass` [kg] is the typical effective mass, NaN if the inertias are unknown; `arm_reach` [m] is the
+    reach with all slides at rest.
     """
     link, length = _longest_link(robot)
     if length > LONG_LINK_M or reach < MIN_REACH_M:
         yield f"check the lengths: reach {reach:.3g} m, {link} is {length:.3g} m long"
-    density = robot.moving_mass / max(reach, MIN_REACH_M) ** 3
-    if not robot.masses_reason and not LOW_DENSITY <= density <= HIGH_DENSITY:
+    densities = [robot.moving_mass / max(length, MIN_REACH_M) ** 3 for length in (reach, arm_reach)]
+    if not robot.masses_reason and (densities[0] > HIGH_DENSITY or densities[1] < LOW_DENSITY):
         yield f"check the masses: {robot.moving_mass:.3g} kg move at a reach of {reach:.3g} m"
     for name, _, distance, _ in _bodies(robot):
         if distance > reach:

@@ -12,7 +12,7 @@ import pinocchio as pin
 
 from scara_effmass.codes import Assumption
 from scara_effmass.iso15066 import robot_mass
-from scara_effmass.model.description import CONTINUOUS_LIMIT, RotorInertia
+from scara_effmass.model.description import CONTINUOUS_LIMIT, HeldJoint, RotorInertia
 from scara_effmass.settings import LumpingSettings, MonitorSettings
 from scara_effmass.values import FloatArray
 
@@ -32,7 +32,7 @@ class Robot:
     axis through it. `payload` are the masses m_L [kg] of tool and load by source; `rebuild` returns this robot with the
     load of other settings. A `*_reason` states why masses, centres of mass (CoM) or inertias are implausible; it is
     empty if they are plausible. `units_reason` states what is certainly not in SI units: the monitor refuses the robot.
-    `stated` is what the robot file states of the assumptions.
+    `stated` is what the robot file states of the assumptions, `held` are its joints that the model does not move.
     `reach` [m] is the largest distance of `tip` and contact points from the first joint, over the sampled poses.
     """
 
@@ -52,6 +52,7 @@ class Robot:
     stated: frozenset[Assumption]
     reach: float = 0.0
     units_reason: str = ""
+    held: tuple[HeldJoint, ...] = ()
 
     @property
     def name(self) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import reprlib
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -22,6 +22,7 @@ from scara_effmass.input_files import read_text
 from scara_effmass.model.description import (
     CONTINUOUS_LIMIT,
     MAX_ANGLE_RAD,
+    HeldJoint,
     RobotDescription,
     RotorInertia,
     StatedLink,
@@ -39,6 +40,10 @@ _MAX_NUMBER = 1e6
 """Largest magnitude of a length, mass or inertia [SI]; beyond it the dynamics overflow."""
 LIGHT_SHARE = 0.1
 """Share of the moving mass below which joints beyond a contact point may be held in the model."""
+MAX_FINGER_JOINTS = 4
+"""Largest number of joints of a finger."""
+ALIKE = 2.0
+"""Ratio of masses up to which branches are fingers of one gripper."""
 _ROTOR_INERTIA = ("rotor_inertia", "motorInertia")
 _REDUCTION = ("gear_ratio", "mechanicalReduction")
 """Drake's ratio first: its files keep a mechanicalReduction of 1 beside it."""
@@ -64,7 +69,7 @@ def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> RobotDescri
     entries = tuple(dict.fromkeys(settings.contact_points))
     if not entries:
         entries = (tree.tip(tree.base),)
-        notes.append(f"contact point {entries[0]}: the tip of the longest chain (set contact_points for another)")
+        notes += tree.notes_on_tip(entries[0])
     points = [contact_point(entry) for entry in entries]
     # Without a link of its own, a contact point is the link of its name.
     links = [point.link or point.name for point in points]
@@ -79,6 +84,10 @@ def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> RobotDescri
     fixed = {name for name in tree.joints if tree.kind(name) != "fixed" and (name not in needed or name in tree.locked)}
     if fixed:
         notes.append(f"held fixed in the model: {', '.join(sorted(fixed))}")
+    if parts := sorted(tree.gripper & fixed - tree.named):
+        notes.append(
+            f"the arm ends at its gripper, which branches or mimics and yields no more than held: {', '.join(parts)}"
+        )
     model = _reduced_model(tree, fixed)
     frames = {name: model.frames[model.getBodyId(name)] for name in tree.links}
     rotors = _rotors(tree, list(model.names)[1:], settings.armature)
@@ -104,6 +113,8 @@ def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> RobotDescri
         tip=max((frames[name] for name in (*links, *tips)), key=lambda frame: frame.parentJoint).placement,
         notes=notes,
         stated=frozenset(),
+        may_end_in_tool=not settings.contact_points,
+        held=tuple(HeldJoint(name, tree.is_tool_joint(name, needed)) for name in sorted(fixed)),
     )
 
 
@@ -213,7 +224,7 @@ def read_urdf(
 
 
 class UrdfTree:
-    """Links and joints of a URDF; `locked` are the joints that match the globs of `locked_joints`."""
+    """Links and joints of a URDF; `locked` are joints that match the globs of `locked_joints`, or are of a gripper."""
 
     def __init__(self, root: ET.Element, origin: str, locked_joints: Sequence[str]) -> None:
         self.root = root
@@ -221,7 +232,8 @@ class UrdfTree:
         self.links = _by_name(root, "link", origin)
         self.joints = _by_name(root, "joint", origin)
         self.stated = [link for name, element in self.links.items() for link in _stated(name, element, origin)]
-        self.locked = {name for name in self.joints if self.kind(name) != "fixed" and _is_locked(name, locked_joints)}
+        self.named = {name for name in self.joints if self.kind(name) != "fixed" and _is_locked(name, locked_joints)}
+        self.locked = self.named
         self._parents: dict[str, tuple[str, str]] = {}
         for name, joint in self.joints.items():
             parent, child = (_end(joint, role, self.links, origin) for role in ("parent", "child"))
@@ -230,6 +242,7 @@ class UrdfTree:
                     f"{origin}: link {child}: must have one joint above it, not {self._parents[child][1]} and {name}"
                 )
             self._parents[child] = (parent, name)
+        self._links_of = {name: (parent, child) for child, (parent, name) in self._parents.items()}
         bases = sorted(self.links.keys() - self._parents.keys())
         if len(bases) != 1:
             raise RobotError(
@@ -239,6 +252,13 @@ class UrdfTree:
         for link in self.links:
             if len(set(self._chain_links(link))) != len(self._chain_links(link)):
                 raise RobotError(f"{origin}: link {link}: the joints above it must not form a loop")
+        self._masses = dict.fromkeys(self.joints, 0.0)
+        for stated in self.stated:
+            for name in self.chain(stated.name):
+                self._masses[name] += stated.mass
+        self.gripper = self._gripper_joints()
+        """Joints of a gripper by its structure, see `_gripper_joints`, which are held as the locked ones are."""
+        self.locked = self.named | self.gripper
 
     def kind(self, joint: str) -> str:
         """Return the type of `joint`."""
@@ -253,13 +273,20 @@ class UrdfTree:
 
         A chain ends before a locked joint: the tip is the link that carries a gripper's fingers, not a finger.
         """
-        free = {name: parent for name, (parent, joint) in self._parents.items() if joint not in self.locked}
+        return min(self._ends(link))[2]
+
+    def _ends(self, link: str) -> list[tuple[int, int, str]]:
+        """Return the ends of the chains from `link` outwards, least first: most moving joints, then most joints."""
+        # What is locked below all moving joints, such as a base, ends no chain.
+        ends = {joint for joint in self.locked if self._moving_above(joint) - self.locked}
+        free = {name: parent for name, (parent, joint) in self._parents.items() if joint not in ends}
         ranked = []
         for end in free.keys() - set(free.values()) | {link}:
             beyond = self._joints_beyond(link, end)
-            if (beyond or end == link) and self.locked.isdisjoint(beyond):
-                ranked.append((-sum(self.kind(joint) != "fixed" for joint in beyond), -len(beyond), end))
-        return min(ranked)[2]
+            if (beyond or end == link) and ends.isdisjoint(beyond):
+                moving = sum(self.kind(joint) != "fixed" and joint not in self.locked for joint in beyond)
+                ranked.append((-moving, -len(beyond), end))
+        return sorted(ranked)
 
     def tip_beyond(self, link: str) -> str:
         """Return the end of the chain of joints whose motion counts for a contact point at `link`.
@@ -282,12 +309,81 @@ class UrdfTree:
                 mass += link.mass
         return mass
 
+    def is_tool_joint(self, joint: str, needed: Collection[str]) -> bool:
+        """Return whether `locked_joints` name `joint`, which moves a light part of the tool, as a finger.
+
+        The joints `needed` move the contact points; they carry the tool, and none of them is a part of it.
+        """
+        carriers = self._moving_above(joint) - self.locked
+        is_named = joint in self.named and joint not in needed
+        return is_named and not carriers.isdisjoint(needed) and self._is_light(self._masses[joint])
+
+    def notes_on_tip(self, link: str) -> list[str]:
+        """Return notes on the choice of `link` as the contact point."""
+        joints = [name for name in self.chain(link)[::-1] if self.kind(name) != "fixed" and name not in self.locked]
+        notes = [
+            f"contact point {link}: the tip of the longest chain (set contact_points for another): {', '.join(joints)}"
+        ]
+        others = [end for count, _, end in self._ends(self.base) if count == -len(joints)]
+        if others := [end for end in others if not set(joints) <= set(self.chain(end))]:
+            notes.append(f"chains of as many joints end at {', '.join(others)}: {link} comes first by length and name")
+        return notes
+
+    def _gripper_joints(self) -> set[str]:
+        """Return the joints of grippers at the end of an arm, whatever their names.
+
+        An arm ends at a light joint that mimics or is mimicked, and where it branches into light fingers: two or more
+        joints on one rigid body with equally many joints beyond, not more than a finger has, and similar masses.
+        Wheels on a body that carries an arm, too, are none.
+        """
+        moving = {name for name in self.joints if self.kind(name) != "fixed"}
+        mimics = {name: self.joints[name].find("mimic") for name in moving}
+        coupled = {name for name, mimic in mimics.items() if mimic is not None}
+        coupled |= {mimic.get("joint", "") for mimic in mimics.values() if mimic is not None}
+        depths = dict.fromkeys(moving, 0)
+        for link in self.links:
+            for depth, name in enumerate((name for name in self.chain(link) if name in moving), start=1):
+                depths[name] = max(depths[name], depth)
+        branches: dict[str, list[str]] = {}
+        for name in moving - self.named:
+            branches.setdefault(self._body_above(name), []).append(name)
+        starts = coupled & moving
+        for names in branches.values():
+            deepest = max(depths[name] for name in names)
+            masses = [self._masses[name] for name in names if depths[name] == deepest]
+            are_alike = len(masses) > 1 and max(masses) <= ALIKE * min(masses)
+            if are_alike and deepest <= MAX_FINGER_JOINTS and self._is_light(sum(self._masses[name] for name in names)):
+                starts.update(names)
+        starts = {name for name in starts if self._moving_above(name) and self._is_light(self._masses[name])}
+        return {name for name in moving if name in starts or self._moving_above(name) & starts}
+
+    def _is_light(self, mass: float) -> bool:
+        """Return whether `mass` [kg] is less than LIGHT_SHARE of what moves without its heaviest link, as a base is.
+
+        Of a robot without masses nothing is light.
+        """
+        moving = {name for name in self.joints if self.kind(name) != "fixed"}
+        masses = [link.mass for link in self.stated if moving.intersection(self.chain(link.name))]
+        return mass < LIGHT_SHARE * (sum(masses) - max(masses, default=0.0))
+
+    def _moving_above(self, joint: str) -> set[str]:
+        """Return the joints that move the parent link of `joint`."""
+        return {name for name in self.chain(self._links_of[joint][0]) if self.kind(name) != "fixed"}
+
+    def _body_above(self, joint: str) -> str:
+        """Return the first link of the rigid body that carries `joint`."""
+        link = self._links_of[joint][0]
+        while link in self._parents and self.kind(self._parents[link][1]) == "fixed":
+            link = self._parents[link][0]
+        return link
+
     def require_movable(self, joint: str) -> None:
         """Raise RobotError if the model cannot move `joint`, which a contact point needs."""
         kind = self.kind(joint)
-        if kind not in {*MOVING, "fixed"}:
+        if kind not in {*MOVING, "fixed"} and joint not in self.locked:
             raise RobotError(
-                f"{self.origin}: joint {joint}: type = {kind!r}: must be one of {', '.join(MOVING)}, fixed"
+                f"{self.origin}: joint {joint}: type = {kind!r}: must be one of {', '.join(MOVING)}, fixed: describe it by "
+                "prismatic and continuous joints, or, if it never moves, hold it by locked_joints"
             )
         if kind != "fixed" and joint not in self.locked and self.joints[joint].find("mimic") is not None:
             raise RobotError(f"{self.origin}: joint {joint}: must not mimic another joint: fix it with locked_joints")

@@ -118,6 +118,7 @@ def input_status(
         "received": received,
         "refused": monitor.rejected if monitor else 0,
         "of other devices": monitor.ignored if monitor else 0,
+        "moved, but not in the model": ", ".join(monitor.unmodelled_joints) if monitor else "",
         "incompatible QoS": incompatible,
         **{f"latency {name} [us]": f"{latency_us:.0f}" for name, latency_us in latencies.report().items()},
         "latency histogram [us]": latencies.histogram,

@@ -170,8 +170,10 @@ def scope(robot: Robot, settings: MonitorSettings) -> str:
     others = [name for joint, name in enumerate(robot.joint_names, start=1) if joint not in watched]
     person = f"a person at {settings.person_speed:g} m/s" if settings.person_speed else "a person who stands still"
     text = f"slower than the allowable speed at {points}, for {person} and a load of {robot.payload_text}"
-    unwatched = f"; not watched: the links behind {', '.join(others)}" * bool(others)
-    return f"{text}{unwatched}; robot {robot.name} ({Path(robot.origin).name})"
+    text += f"; not watched: the links behind {', '.join(others)}" if others else ""
+    ignored = [*settings.ignored_joints, *(joint.name for joint in robot.held if joint.is_harmless)]
+    text += f"; motion does not count of {', '.join(ignored)}" if ignored else ""
+    return f"{text}; robot {robot.name} ({Path(robot.origin).name})"
 
 
 def deciding_mass(dynamics: RobotDynamics, model: MassModel) -> str:

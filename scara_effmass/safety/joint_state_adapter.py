@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Collection, Sequence
 from difflib import SequenceMatcher
+from fnmatch import fnmatchcase
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +15,7 @@ from numpy.typing import NDArray
 from scara_effmass.codes import Reason
 from scara_effmass.errors import SettingsError
 from scara_effmass.kernel.velocity import VelocityWindow
+from scara_effmass.model.description import HeldJoint
 from scara_effmass.settings import MonitorSettings, VelocitySource
 from scara_effmass.settings.loading import nearest
 from scara_effmass.values import FloatArray, JointState
@@ -30,7 +33,8 @@ class Layout(NamedTuple):
     """What the names of joint states mean: places of the robot's joints in them, or the reason why they are refused.
 
     `is_foreign`: none of them is a joint of the robot, so the joint states are of another device. `is_ordered`: they
-    are the joints of the robot, in its order. The reason is a code with a joint, a text and a number.
+    are the joints of the robot, in its order. The reason is a code with a joint, a text and a number. `others` are the
+    places of joints that are not in the model and not stated as harmless.
     """
 
     names: tuple[str, ...]
@@ -41,17 +45,28 @@ class Layout(NamedTuple):
     joint: int = 0
     detail: str = ""
     value: float = 0.0
+    others: tuple[int, ...] = ()
 
 
 class JointStateAdapter:
     """Renames joints, puts them in order, and filters the velocity or computes it from positions."""
 
-    def __init__(self, joints: tuple[str, ...], settings: MonitorSettings, periods: FloatArray | None = None) -> None:
-        """Expect the `joints` of a robot, whose positions have `periods` (n,), 0 for none.
+    def __init__(
+        self,
+        joints: tuple[str, ...],
+        settings: MonitorSettings,
+        periods: FloatArray | None = None,
+        held: Collection[HeldJoint] = (),
+    ) -> None:
+        """Expect the `joints` of a robot, whose positions have `periods` (n,), 0 for none; `held` are fixed ones.
 
         Raises SettingsError for a `joint_map` or `joint_names` that miss them.
         """
         self._joints, self._periods = joints, np.zeros(len(joints)) if periods is None else periods
+        self._held = {joint.name for joint in held}
+        self._harmless = {joint.name for joint in held if joint.is_harmless}
+        self._ignored = settings.ignored_joints
+        self._series = {_numbered(joint) for joint in joints if _numbered(joint) != joint}
         self._map, self._joint_names = settings.joint_renames, settings.joint_names
         self._layouts: dict[tuple[str, ...], Layout] = {}
         self._reported: tuple[str, ...] | None = None
@@ -149,17 +164,34 @@ class JointStateAdapter:
             return refused(Reason.NO_NAMES)
         if "" in names:
             return refused(Reason.EMPTY_NAME, value=float(names.index("")))
+        others = self._others(reported, names)
         index_of = {name: index for index, name in enumerate(names)}
         if len(index_of) != len(names):
             twice = next(name for index, name in enumerate(names) if index_of[name] != index)
             return refused(Reason.NAMED_TWICE, detail=twice)
         missing = [index for index, joint in enumerate(self._joints) if joint not in index_of]
         if len(missing) == len(self._joints):
-            return Layout(names, nothing, is_ordered=False, is_foreign=True)
+            return Layout(names, nothing, is_ordered=False, is_foreign=True, others=others)
         if missing:
             return refused(Reason.MISSING_JOINT, missing[0], suggested_map(names, self._joints))
+        foreign = [names[index] for index in others if self._continues(names[index])]
+        if foreign:
+            return refused(Reason.OTHER_ARM, detail=", ".join(foreign[:MAX_NAMES]))
         order = np.array([index_of[joint] for joint in self._joints])
-        return Layout(names, order, names == self._joints, is_foreign=False)
+        return Layout(names, order, names == self._joints, is_foreign=False, others=others)
+
+    def _others(self, reported: Sequence[str], names: Sequence[str]) -> tuple[int, ...]:
+        """Return the places of joints outside the model that neither `ignored_joints` nor the robot file excuse."""
+        known = self._harmless.union(self._joints)
+        pairs = [(index, *pair) for index, pair in enumerate(zip(reported, names, strict=True)) if pair[1] not in known]
+        globs = self._ignored
+        return tuple(
+            index for index, *pair in pairs if not any(fnmatchcase(name, glob) for glob in globs for name in pair)
+        )
+
+    def _continues(self, name: str) -> bool:
+        """Return whether `name` continues the numbers of the robot's joints, as joint5 does after joint1 to joint4."""
+        return name not in self._held and _numbered(name) in self._series
 
     def _renamed(self, names: Sequence[str]) -> tuple[tuple[str, ...], str]:
         """Return the robot's names, or none and which name fits several."""
@@ -171,6 +203,11 @@ class JointStateAdapter:
                 return (), f"{name} several names: {', '.join(choices)}"
             renamed += choices
         return tuple(renamed), ""
+
+
+def _numbered(name: str) -> str:
+    """Return `name` with its last number replaced."""
+    return re.sub(r"\d+(?=\D*$)", "#", name)
 
 
 def suggested_map(reported: Sequence[str], joints: Sequence[str]) -> str:

@@ -19,6 +19,7 @@ from scara_effmass.iso15066 import Limit, limits_for
 from scara_effmass.kernel import jit
 from scara_effmass.kernel.admission import METRES_PER_RADIAN, NANOSECONDS, WINDOW_S, admit, forget_all
 from scara_effmass.kernel.contact_kernel import ContactKernel, too_large
+from scara_effmass.kernel.other_joints import NOT_MOVING, OtherJoints
 from scara_effmass.kernel.records import CONTACT, REASON_SIZE, IntArray
 from scara_effmass.kernel.settle import settle
 from scara_effmass.kernel.state import (
@@ -37,7 +38,7 @@ from scara_effmass.model.joint_acceleration import max_joint_accelerations
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety.assessments import Assessments, Records, unknown_numbers
 from scara_effmass.safety.assumptions import NO_ASSUMPTIONS, assumptions_of
-from scara_effmass.safety.joint_state_adapter import JointStateAdapter, Layout, suggested_map
+from scara_effmass.safety.joint_state_adapter import MAX_LAYOUTS, JointStateAdapter, Layout, suggested_map
 from scara_effmass.safety.reasons import NO_TEXTS, ReasonTexts
 from scara_effmass.safety.second_channel import ReferenceChannel
 from scara_effmass.settings import MonitorSettings
@@ -112,7 +113,8 @@ class Monitor:
         self._why_reference = "use_reference" if use_reference else too_large(robot)
         self.kernel_fault = ""
         """Where the kernel disagreed with the reference, which works alone since then; empty if nowhere."""
-        self._adapter = JointStateAdapter(robot.joint_names, settings, robot.periods)
+        self._adapter = JointStateAdapter(robot.joint_names, settings, robot.periods, robot.held)
+        self._others, self._other_places = OtherJoints(), dict[tuple[str, ...], tuple[IntArray, IntArray]]()
         self._rules, self._memory = np.zeros(1, RULES), np.zeros(1, MEMORY)
         self._joints = np.zeros(robot.model.nv, JOINT_MEMORY)
         self._debounces = np.zeros(len(dynamics.contact_points), DEBOUNCE)
@@ -146,6 +148,7 @@ class Monitor:
         trial.motions[:, 1] = qd * (np.arange(TRIALS) % 3)[:, None]
         rules, memory, joints, debounces = (array.copy() for array in self._memory_bytes)
         try:
+            OtherJoints().compile()
             admit(trial.states, trial.motions, rules, memory, joints)
             trial.records["is_admitted"] = 1
             self.compute(trial)
@@ -192,6 +195,9 @@ class Monitor:
         joints["max_speed"] = max_speeds * (1.0 + settings.joint_speed_tolerance)
         joints["period"] = robot.periods
         joints["position_tolerance"] = settings.position_tolerance * self._per_joint
+        # Whether a joint outside the model turns or slides is unknown: the tolerance of one that slides counts.
+        self._others.tolerance = METRES_PER_RADIAN * settings.position_tolerance
+        self._others.max_speed = self._others.tolerance / WINDOW_S
 
     def _use_dynamics(self) -> None:
         """Compute with the present settings and payload from the next joint state on."""
@@ -271,19 +277,26 @@ class Monitor:
         names = self._other_names
         return f"; they name {', '.join(names)}{suggested_map(names, self.dynamics.robot.joint_names)}" if names else ""
 
+    @property
+    def unmodelled_joints(self) -> tuple[str, ...]:
+        """Joints of the joint states that have moved, but are neither in the model nor stated as harmless."""
+        return self._others.moved
+
     def names_of(self, reported: tuple[str, ...]) -> tuple[str, ...]:
         """Return the names that `joint_map` and `joint_names` give to the joints of a joint state."""
         return self._adapter.layout(reported).names or reported
 
     def reset(self) -> None:
-        """Clear the first cause, and with it a latched verdict."""
+        """Clear the first cause, and with it a latched verdict; forget devices that moved when they were last seen."""
         self.first_cause = None
+        self._others.forget()
         self._forget_verdicts()
 
     def clear_history(self) -> None:
         """Discard earlier joint states: the node's clock jumped back, and the stamps follow."""
         forget_all(*self._memory_bytes[1:3])
         self._adapter.forget()
+        self._others.forget()
         self._forget_verdicts()
 
     def _forget_verdicts(self) -> None:
@@ -374,9 +387,9 @@ class Monitor:
 
     def assess_one(self, state: JointState, now_ns: int, sequence_number: int | None = None) -> Assessments | None:
         """Return the assessment of one joint state, as `assess`; None if it is of another device."""
-        layout = self._layout(state.names, 1)
-        if layout is None:
-            return None
+        layout = self._adapter.layout(state.names)
+        if layout.is_foreign:
+            return self._ignore(layout, np.array([now_ns]), state.position[None], state.velocity[None])
         pending = self._single
         number = NO_SEQUENCE if sequence_number is None else sequence_number
         HEAD.pack_into(pending.states.data, 0, state.stamp_ns, now_ns, number)
@@ -415,9 +428,9 @@ class Monitor:
 
         `stamps` and `clocks` (N,) are header stamps and times of arrival [ns], `position` and `velocity` (N, k).
         """
-        layout = self._layout(names, len(stamps))
-        if layout is None:
-            return None
+        layout = self._adapter.layout(names)
+        if layout.is_foreign:
+            return self._ignore(layout, clocks, position, velocity)
         pending = self._new_pending(len(stamps))
         records = pending.records
         records["stamp_ns"], records["now_ns"], records["sequence"] = stamps, clocks, NO_SEQUENCE
@@ -496,14 +509,28 @@ class Monitor:
         states, q, qd = records.view(np.uint8), motions[:, 0], motions[:, 1]
         return Pending(records, states, motions, q, qd, numbers, self._kernel, self._unknown, self._texts)
 
-    def _layout(self, names: tuple[str, ...], count: int) -> Layout | None:
-        """Return the layout of joint states with these names; None, counted, for those of another device."""
-        layout = self._adapter.layout(names)
-        if layout.is_foreign:
-            self.ignored += count
-            self._other_names = layout.names
-            return None
-        return layout
+    def _ignore(self, layout: Layout, clocks: IntArray, position: FloatArray, velocity: FloatArray) -> None:
+        """Count joint states of other devices, and note which of their joints move."""
+        self.ignored += len(clocks)
+        self._other_names = layout.names
+        self._watch(layout, clocks, position, velocity)
+
+    def _watch(self, layout: Layout, clocks: IntArray, position: FloatArray, velocity: FloatArray) -> IntArray | None:
+        """Return which joint outside the model moves in each of N joint states, as `OtherJoints.watch`."""
+        names = layout.names
+        if names not in self._other_places:
+            if len(self._other_places) == MAX_LAYOUTS:
+                self._other_places.clear()
+            numbers = self._others.numbers([names[column] for column in layout.others])
+            self._other_places[names] = np.array(layout.others, np.int64), numbers
+        columns, numbers = self._other_places[names]
+
+        def of_others(values: FloatArray) -> FloatArray:
+            if values.shape[-1] != len(names):
+                return np.full((len(clocks), len(columns)), math.nan)
+            return np.ascontiguousarray(values.reshape(len(clocks), -1)[:, columns])
+
+        return self._others.watch(numbers, clocks, of_others(position), of_others(velocity))
 
     def _read(self, pending: Pending, layout: Layout, position: FloatArray, velocity: FloatArray) -> None:
         """Put the joint states in order, and admit or refuse them."""
@@ -517,8 +544,25 @@ class Monitor:
             elif (filtered := self._adapter.filter(layout, pending.records["stamp_ns"], pending.motions)) is not None:
                 pending.records["delay"], known = filtered
                 pending.records["reason"][~known, CODE] = Reason.LONE_POSITION
+            self._refuse_unmodelled(pending.records, layout, position, velocity)
         rules, memory, joints, _ = self._memory_bytes
         admit(pending.states, pending.motions, rules, memory, joints)
+
+    def _refuse_unmodelled(self, records: Records, layout: Layout, position: FloatArray, velocity: FloatArray) -> None:
+        """Give the reason of joint states during which a joint outside the model moves."""
+        if not layout.others and not self._others.is_moving:
+            return
+        moving = self._watch(layout, np.ascontiguousarray(records["now_ns"]), position, velocity)
+        if moving is None:
+            return
+        reasons = records["reason"]
+        for number in np.unique(moving).tolist():
+            if number != NOT_MOVING:
+                rows = (moving == number) & (reasons[:, CODE] == Reason.NONE)
+                reasons[rows, CODE], reasons[rows, DETAIL] = (
+                    Reason.UNMODELLED_MOTION,
+                    self._detail(self._others.text(number)),
+                )
 
     def _unknown_state(self, reason: Reason, detail: str, stamp_ns: int, age: float, seconds: float) -> Pending:
         pending = self._new_pending(1)

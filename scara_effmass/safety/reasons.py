@@ -32,6 +32,7 @@ TEXTS = {
     Reason.NAMED_TWICE: "joint {detail} is named twice",
     Reason.MISSING_JOINT: "joint {joint} is missing{detail}",
     Reason.SEVERAL_NAMES: "joint_map gives joint {detail}",
+    Reason.OTHER_ARM: "joint states of another arm than {robot}, which has no {detail}",
     Reason.POSITION_COUNT: "{v[0]:.0f} positions for {v[1]:.0f} names",
     Reason.VELOCITY_COUNT: "{v[0]:.0f} velocities for {v[1]:.0f} names",
     Reason.NO_VELOCITY: "the velocity is empty: set velocity_source to from_positions",
@@ -63,6 +64,7 @@ TEXTS = {
     Reason.NO_JOINT_STATE: "no joint state yet",
     Reason.ONLY_OTHER_JOINTS: f"no joint state yet {OTHER_JOINTS}",
     Reason.OTHER_JOINTS_SINCE: f"no joint state for {{v[0]:.2f}} s {OTHER_JOINTS}",
+    Reason.UNMODELLED_MOTION: "joint {detail} moves, but is not in the model",
     Reason.NO_MASSES: "{masses}",
     Reason.NO_LUMPED_MASS: "no lumped mass ({lumped}): choose effective_mass_model auto, full or iso",
     Reason.NO_FULL_MASS: "no full mass ({full}): choose effective_mass_model auto, lumped or iso",
@@ -151,6 +153,7 @@ class ReasonTexts:
             ),
             lumped=lumped,
             fixed={
+                "robot": robot.name,
                 "masses": robot.masses_reason,
                 "assumed": assumptions.reason,
                 "full": full_reason,

@@ -22,6 +22,9 @@ REMEDIES = {
     Reason.NAMED_TWICE: DRIVER,
     Reason.MISSING_JOINT: NAMES,
     Reason.SEVERAL_NAMES: "make the entries of `joint_map` fit each joint once",
+    Reason.OTHER_ARM: (
+        "give the robot file of this arm by `--robot`; if these are joints beside it, name them in `ignored_joints`"
+    ),
     Reason.POSITION_COUNT: DRIVER,
     Reason.VELOCITY_COUNT: DRIVER,
     Reason.NO_VELOCITY: VELOCITY,
@@ -55,6 +58,10 @@ REMEDIES = {
     Reason.NO_JOINT_STATE: CONNECTION,
     Reason.ONLY_OTHER_JOINTS: NAMES,
     Reason.OTHER_JOINTS_SINCE: f"{CONNECTION}; {NAMES}",
+    Reason.UNMODELLED_MOTION: (
+        "give a robot file with this joint and contact points that it moves; name it in `ignored_joints` only if it "
+        "moves nothing that can hit a person"
+    ),
     Reason.NO_MASSES: ROBOT_FILE,
     Reason.NO_LUMPED_MASS: MODEL,
     Reason.NO_FULL_MASS: MODEL,

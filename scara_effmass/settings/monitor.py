@@ -136,8 +136,20 @@ class MonitorSettings(FrozenSettings):
         ("*gripper*", "*finger*"),
         "joints, by name or glob pattern, fixed in the model: their mass counts, their motion does not",
     )
+    ignored_joints: tuple[str, ...] = fixed(
+        (),
+        "joints of the joint states, by name or glob pattern, whose motion is harmless although the model does not "
+        "have them; empty: one that moves gives UNKNOWN",
+    )
     tool_links: tuple[str, ...] = fixed(
         (), "links of the tool, by name or glob pattern: their mass belongs to m_L instead of M (M/2 + m_L)"
+    )
+    moving_mass: float = fixed(
+        0.0,
+        "mass of all moving links, from the data sheet, in place of the masses in the robot file: ISO's mass M/2 + m_L "
+        "decides [kg]; 0: the masses in the file",
+        ge=0.0,
+        le=10000.0,
     )
     payload_mass: float = tunable(
         0.0, "load in addition to the tool and payload of the robot file [kg]", ge=0.0, le=1000.0

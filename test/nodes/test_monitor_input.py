@@ -150,7 +150,7 @@ def test_joints_are_matched_by_name_in_any_order(harness: NodeHarness) -> None:
             stamp + 1,
             ("gripper", "joint4", "joint2", "rail", "joint1", "joint3"),
             (NAN, Q[3], Q[1], 9e9, Q[0], Q[2]),
-            (INF, QD[3], QD[1], -7.0, QD[0], QD[2]),
+            (0.0, QD[3], QD[1], NAN, QD[0], QD[2]),
         )
     )
     assert mixed.verdict == ContactState.OK

@@ -26,7 +26,18 @@ PAYLOAD = Payload(1.5, (0.05, 0.0, 0.1), (0.01, 0.01, 0.01, 0.0, 0.0, 0.0))
 FAULTS = (
     *("repeated", "late", "old", "future", "zero stamp", "jump", "wrong velocity", "limit", "speed", "nan"),
     *("nan velocity", "zero velocity", "no velocity", "short", "other names", "twice", "missing", "no names"),
-    *("other device", "undecodable", "clock back", "payload", "no payload", "watchdog", "fast", "command"),
+    *(
+        "other device",
+        "its motion",
+        "rail",
+        "undecodable",
+        "clock back",
+        "payload",
+        "no payload",
+        "watchdog",
+        "fast",
+        "command",
+    ),
 )
 SETTINGS: tuple[dict[str, Any], ...] = (
     {},
@@ -89,14 +100,19 @@ def damaged(kind: str, row: int, item: Item, stamps: IntArray, clocks: IntArray,
         column[row, 1] = value
     names = {
         "other names": (*NAMES[1:], "gripper", NAMES[0]),
+        "rail": (*NAMES[1:], "gripper", NAMES[0]),
         "twice": ("joint1",) * 4,
         "missing": (*NAMES[:3], "joint_4"),
         "no names": (),
         "other device": ("left", "right", "a", "b"),
+        "its motion": ("left", "right", "a", "b"),
     }.get(kind, state.names)
     position, velocity = q[row], qd[row]
-    if kind == "other names":
-        position, velocity = (np.array([*x[1:], 9.0, x[0]]) for x in (position, velocity))
+    if kind in {"other names", "rail"}:
+        speed = 9.0 if kind == "rail" else 0.0
+        position, velocity = (np.array([*x[1:], y, x[0]]) for x, y in ((position, 9.0), (velocity, speed)))
+    if kind == "other device":
+        position, velocity = np.zeros(4), np.zeros(4)
     if kind == "no velocity":
         velocity = np.empty(0)
     if kind == "short":

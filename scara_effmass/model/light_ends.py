@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A last joint that moves a light end, such as a jaw, counts as locked in the mass matrix: a free one would decide.
+
+The end is light beside the arm, the other joints move its contact point in all directions, and free it is much lighter
+than locked. At a contact point that is stated, the last joint counts as it is: a tool may end beside a wrist's axis.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+
+from scara_effmass.model.robot import Robot
+
+LIGHT_SHARE = 0.1
+"""Share of the moving mass, without the heaviest body, below which an end is light."""
+MIN_RATIO = 2.0
+"""Ratio of the masses, locked over free, from which on the free joint would decide."""
+MIN_MOBILITY = 0.05
+"""Smallest singular value, over the largest one, from which on the other joints move a point in all directions."""
+LOCKING = 10.0
+"""Rotor inertia of a locked joint over the largest one that the mass matrix has: 1 % of the mobility remains."""
+
+
+def hold_light_ends(robot: Robot) -> Robot:
+    """Return `robot` with a rotor inertia that locks the joints of light ends, and notes; itself if it has none."""
+    if robot.inertias_reason:
+        return robot
+    ends = list(_light_ends(robot))
+    if not ends:
+        return robot
+    model, matrix, notes = robot.model.copy(), robot.rotors.matrix.copy(), []
+    data = model.createData()
+    largest = max(float(np.diag(robot.mass_matrix(model, data, q)).max()) for q in robot.sample_configurations())
+    for joint, point, free, locked in ends:
+        matrix[joint - 1, joint - 1] += LOCKING * max(largest, robot.moving_mass)
+        notes.append(
+            f"{model.names[joint]} counts as locked in the masses, not in the motion: free it would make {point} "
+            f"light, typically {free:.3g} in place of {locked:.3g} kg"
+        )
+    model.armature = np.diag(matrix)
+    return replace(robot, model=model, rotors=replace(robot.rotors, matrix=matrix), notes=(*robot.notes, *notes))
+
+
+def _light_ends(robot: Robot) -> Iterator[tuple[int, str, float, float]]:
+    """Yield joint, contact point, and typical mass [kg] with the joint free and locked, of each light end."""
+    model, seen = robot.model, set[int]()
+    arm_mass = robot.moving_mass - max(float(body.mass) for body in model.inertias)
+    ends = set(range(1, model.njoints)) - set(model.parents)
+    for point, frame in robot.contact_frames.items():
+        joint = model.frames[frame].parentJoint
+        if joint in seen or joint not in ends or model.inertias[joint].mass >= LIGHT_SHARE * arm_mass:
+            continue
+        free, locked = _typical_masses(robot, frame, joint - 1)
+        if locked >= MIN_RATIO * free:
+            seen.add(joint)
+            yield joint, point, free, locked
+
+
+def _typical_masses(robot: Robot, frame: int, column: int) -> tuple[float, float]:
+    """Return the median mass [kg] of the lightest direction with a joint free and locked; 0 if it is needed there."""
+    model, data, masses = robot.model, robot.model.createData(), []
+    others = [i for i in range(model.nv) if i != column]
+    for q in robot.sample_configurations():
+        jacobian = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)[:3]
+        matrix = robot.mass_matrix(model, data, q)
+        singular = np.linalg.svd(jacobian[:, others], compute_uv=False)
+        if len(singular) < 3 or singular[2] < MIN_MOBILITY * singular[0]:
+            masses.append((1.0, 0.0))
+            continue
+        pair = []
+        for columns in ([*range(model.nv)], others):
+            part = jacobian[:, columns]
+            mobility = part @ np.linalg.solve(matrix[np.ix_(columns, columns)], part.T)
+            pair.append(1.0 / float(np.linalg.eigvalsh(mobility)[-1]))
+        masses.append((pair[0], pair[1]))
+    free, locked = np.median(masses, axis=0).tolist()
+    return free, locked
