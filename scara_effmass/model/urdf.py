@@ -382,8 +382,8 @@ class UrdfTree:
         kind = self.kind(joint)
         if kind not in {*MOVING, "fixed"} and joint not in self.locked:
             raise RobotError(
-                f"{self.origin}: joint {joint}: type = {kind!r}: must be one of {', '.join(MOVING)}, fixed: describe it by "
-                "prismatic and continuous joints, or, if it never moves, hold it by locked_joints"
+                f"{self.origin}: joint {joint}: type = {kind!r}: must be one of {', '.join(MOVING)}, fixed: describe "
+                "it by prismatic and continuous joints, or, if it never moves, hold it by locked_joints"
             )
         if kind != "fixed" and joint not in self.locked and self.joints[joint].find("mimic") is not None:
             raise RobotError(f"{self.origin}: joint {joint}: must not mimic another joint: fix it with locked_joints")

@@ -84,7 +84,10 @@ def test_damaged_table_is_refused(write_table: Callable[[float], Path], old: str
         Evidence(table)
 
 
-@pytest.mark.parametrize(("median", "met"), [(0.8, [False, True, True, True]), (0.7, [False, False, True, False])])
+@pytest.mark.parametrize(
+    ("median", "met"),
+    [(0.8, [False, True, True, True]), (0.7, [False, False, True, True]), (0.5, [False, False, True, False])],
+)
 def test_goals(write_table: Callable[..., Path], median: float, met: list[bool]) -> None:
     assert [goal[2] for goal in Evidence(write_table(median, 500)).goals()] == met
 
