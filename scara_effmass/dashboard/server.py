@@ -55,7 +55,8 @@ class Guard:
             await self.app(scope, receive, send)
             return
         request = HTTPConnection(scope)
-        answer = self._malformed(request) or self._refusal(request)
+        malformed = self._malformed(request)
+        answer = malformed or self._refusal(request)
 
         async def send_guarded(message: Message) -> None:
             if message["type"] in {"http.response.start", "websocket.http.response.start"}:
@@ -64,7 +65,9 @@ class Guard:
 
         if answer is None:
             await self.app(scope, receive, send_guarded)
-        elif scope["type"] == "websocket" and "websocket.http.response" not in scope.get("extensions", {}):
+        elif scope["type"] == "websocket" and (
+            malformed is None or "websocket.http.response" not in scope.get("extensions", {})
+        ):
             await send({"type": "websocket.close", "code": 1008})
         else:
             await answer(scope, receive, send_guarded)

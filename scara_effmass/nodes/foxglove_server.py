@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Serve live topics to Foxglove over a WebSocket, by Foxglove's SDK, in place of foxglove_bridge."""
 
+import socket
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -11,10 +12,13 @@ from scara_effmass.bags.definitions import definition_of, known_types
 from scara_effmass.errors import SettingsError
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.client import ClientNode
+from scara_effmass.nodes.origin_guard import OriginGuard
 from scara_effmass.nodes.record import TopicRecorder, resolve_topic
 from scara_effmass.settings.loading import FrozenSettings
 from scara_effmass.wire.topics import FORCE_OUTPUTS, RECORDED
 
+_SITES = ("foxglove.dev",)
+"""Sites whose pages may read the topics: Foxglove in a browser."""
 _PERIOD_S = 0.1
 """Period of topic discovery and of the check for a stop signal."""
 
@@ -46,7 +50,9 @@ def serve(
     ready: Callable[[int], None] = lambda _: None,
     warn: Callable[[str], None] = lambda _: None,
 ) -> None:
-    """Serve `topics` (none: those of the suite) until SIGINT or SIGTERM; call `ready` with the port.
+    """Serve `topics` (none: those of the suite) until a signal ends it; call `ready` with the port.
+
+    Pages of sites other than this machine's and Foxglove's are refused.
 
     Raises SettingsError for invalid arguments, and where the server cannot listen.
     """
@@ -57,14 +63,17 @@ def serve(
         names = [resolve_topic(node, topic) for topic in topics or RECORDED]
         parents = [] if topics else [resolve_topic(node, topic) for topic in FORCE_OUTPUTS]
         try:
-            server = foxglove.start_server(name="scara_effmass", host=host, port=port)
+            listener = socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
+            # The SDK looks at no origin, so it is not what the browsers of this machine reach.
+            server = foxglove.start_server(name="scara_effmass", host="127.0.0.1", port=0)
         except (RuntimeError, OSError) as error:
             raise SettingsError(f"foxglove: {host}:{port}: cannot listen: {error}") from None
         try:
-            ready(server.port)
-            subscriptions = TopicRecorder(node, ChannelSink(), names, warn, parents)
-            while not client.signals and client.context.ok():
-                subscriptions.discover()
-                client.spin_for(_PERIOD_S)
+            with OriginGuard(listener, server.port, _SITES):
+                ready(listener.getsockname()[1])
+                subscriptions = TopicRecorder(node, ChannelSink(), names, warn, parents)
+                while not client.signals and client.context.ok():
+                    subscriptions.discover()
+                    client.spin_for(_PERIOD_S)
         finally:
             server.stop()

@@ -2,15 +2,20 @@
 """`scara-effmass foxglove`: a WebSocket client of Foxglove's protocol reads the messages of live topics."""
 
 import json
+import socket
 import struct
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from typing import Any
 
+import pytest
 from scara_effmass_msgs.msg import ContactStates
+from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from scara_effmass.bags.definitions import definition_of, known_types
+from scara_effmass.nodes import origin_guard
 from scara_effmass.safety import unknown_contact
 from scara_effmass.values import Verdict
 from scara_effmass.wire.contact_states import ContactStatesEncoder, decode_contact_states
@@ -77,3 +82,42 @@ def test_port_in_use_is_one_line(new_harness: Callable[..., NodeHarness]) -> Non
     assert refused.returncode == 2
     assert f"foxglove: 127.0.0.1:{port}: cannot listen" in errors
     assert errors.count("\n") == 1
+
+
+def test_pages_of_other_sites_are_refused_and_foxglove_is_not(new_harness: Callable[..., NodeHarness]) -> None:
+    process = new_harness().start("--port", "0", command=COMMAND)
+    assert process.stdout is not None
+    address = process.stdout.readline().split()[2].rstrip(";")
+
+    def greeting(*headers: tuple[str, str]) -> str:
+        with connect(
+            address,
+            subprotocols=["foxglove.sdk.v1"],  # type: ignore[list-item]
+            additional_headers=headers,
+            open_timeout=TIMEOUT_S,
+        ) as server:
+            return str(next(received(server))["op"])
+
+    for origin in ("https://app.foxglove.dev", "http://localhost:8080", "http://[::1]:8080", "file://", "app://x"):
+        assert greeting(("Origin", origin)) == "serverInfo"
+    assert greeting() == "serverInfo"
+    refused = ("https://evil.example", "https://foxglove.dev.evil.example", "https://evilfoxglove.dev", "null")
+    for status, origins in {403: refused, 400: ("http://[::1", "http://localhost:port")}.items():
+        for origin in origins:
+            with pytest.raises(InvalidStatus) as answer:
+                greeting(("Origin", origin))
+            assert answer.value.response.status_code == status
+    with pytest.raises(InvalidStatus):
+        greeting(("Origin", "http://localhost"), ("Origin", "https://evil.example"))
+
+
+def test_connection_without_a_request_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(origin_guard, "HEAD_TIMEOUT_S", 0.2)
+    monkeypatch.setattr(origin_guard, "MAX_CONNECTIONS", 3)
+    with ExitStack() as stack:
+        listener = stack.enter_context(socket.create_server(("127.0.0.1", 0)))
+        stack.enter_context(origin_guard.OriginGuard(listener, 1, ()))
+        clients = [stack.enter_context(socket.create_connection(listener.getsockname())) for _ in range(10)]
+        for client in clients:
+            client.settimeout(TIMEOUT_S)
+            assert client.recv(1) == b""
