@@ -47,6 +47,12 @@ ALIKE = 2.0
 _ROTOR_INERTIA = ("rotor_inertia", "motorInertia")
 _REDUCTION = ("gear_ratio", "mechanicalReduction")
 """Drake's ratio first: its files keep a mechanicalReduction of 1 beside it."""
+_WAY_OUT = {
+    "mujoco": "this is MJCF: use the robot's URDF, or convert it with mjcf_urdf_simple_converter",
+    "mujocoinclude": "this is a part of an MJCF: use the robot's URDF",
+    "sdf": "this is SDF: use the robot's URDF, or convert it with sdformat_urdf, `ros2 run sdformat_urdf` or `gz sdf`",
+}
+"""How to get a URDF from another format, by its root element."""
 _MIN_AXIS_LENGTH = 1e-9
 """Length below which an axis has no direction."""
 
@@ -204,7 +210,8 @@ def read_urdf(
     except (ET.ParseError, ValueError) as error:
         raise RobotError(f"{origin}: not XML: {error}") from None
     if root.tag != "robot":
-        raise RobotError(f"{origin}: root element = <{root.tag}>: must be <robot>")
+        way_out = f"; {_WAY_OUT[root.tag]}" if root.tag in _WAY_OUT else ""
+        raise RobotError(f"{origin}: root element = <{root.tag}>: must be <robot>{way_out}")
     if any("xacro" in element.tag for element in root.iter()):
         raise RobotError(f"{origin}: must not contain xacro macros: expand them first (xacro FILE > robot.urdf)")
     joints = root.findall("joint")

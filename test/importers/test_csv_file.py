@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Import of force from CSV files as programs of load cells write them."""
 
+import os
 import tracemalloc
 from collections.abc import Sequence
 from pathlib import Path
@@ -203,3 +204,113 @@ def test_folder_with_the_suffix_of_a_file_is_refused(tmp_path: Path, name: str) 
     (tmp_path / name).mkdir()
     with pytest.raises(BagError, match=f"{name}: cannot be read: must be a regular file"):
         imported(tmp_path / name)
+
+
+BLOCKS = {
+    "A: Time (s),A: Force (N),B: Time (s),B: Force (N)": ("A: Force (N)", "B: Force (N)"),
+    "A: Time (s),B: Time (s),A: Force (N),B: Force (N)": ("A: Force (N)", "B: Force (N)"),
+    "Force A (N),Time A (s),Force B (N),Time B (s)": ("Force A (N)", "Force B (N)"),
+    "Time (s),Force (N),Time (s).1,Force (N).1": ("Force (N)", "Force (N).1"),
+    "t,left (N),time,right (N)": ("left (N)", "right (N)"),
+    "no,left (N),time,right (N)": ("right (N)", "right (N)"),
+}
+
+
+@pytest.mark.parametrize("header", BLOCKS)
+@pytest.mark.parametrize("block", [0, 1])
+def test_times_are_those_of_the_block(tmp_path: Path, header: str, block: int) -> None:
+    """Every column of times has a rate of its own: 1000 Hz, 100 Hz, in the order of the columns."""
+    names = header.split(",")
+    times = [n for n, name in enumerate(names) if name[0] == "t" or "ime" in name]
+    periods = dict(zip(times, (0.001, 0.01) if len(times) > 1 else (0.01,), strict=True))
+    lines = [",".join(f"{n * periods[i]:.3f}" if i in periods else "1" for i in range(4)) for n in range(100)]
+    path = write(tmp_path / "cell.csv", "\n".join([header, *lines]))
+    blocks = imported(path, topic=BLOCKS[header][block])
+    assert blocks[0].sample_rate == pytest.approx(100.0 if block or len(times) == 1 else 1000.0)
+
+
+def test_times_that_cannot_be_told_apart_are_refused_with_the_choice(tmp_path: Path) -> None:
+    path = write(tmp_path / "cell.csv", "a (N),time,time_s,b (N)\n" + "1,2,3,4\n" * 3)
+    with pytest.raises(SettingsError, match=r"time_column is empty: must be that of b \(N\), one of time, time_s"):
+        imported(path, topic="b (N)")
+
+
+@pytest.mark.parametrize("header", ["index,f (N)", "Sample,f (N)", "#no,f (N)"])
+def test_a_counter_is_no_time(tmp_path: Path, header: str) -> None:
+    path = write(tmp_path / "cell.csv", header.replace("#", "") + "\n" + "".join(f"{n},{n}\n" for n in range(50)))
+    with pytest.raises(SettingsError, match="no column has times; state --rate HZ or --time-column"):
+        imported(path)
+    blocks = imported(path, rate=500.0)
+    assert (len(force_of(blocks)), blocks[0].sample_rate, blocks[0].stamp_ns) == (50, pytest.approx(500.0), 0)
+
+
+def test_constant_rate_counts_rows_without_a_value_as_lost(tmp_path: Path) -> None:
+    rows = [f"{n},x" if not 60 <= n < 70 else ",x" for n in range(300)]
+    blocks = imported(write(tmp_path / "cell.csv", "\n".join(["f (N),note", *rows])), rate=1000.0, topic="f (N)")
+    assert lost_in(blocks) == [(70, 10)]
+    with pytest.raises(SettingsError, match="rate = 1000: must be empty, time_column has the times"):
+        imported(tmp_path / "cell.csv", rate=1000.0, time_column="note")
+
+
+@pytest.mark.parametrize("delimiter", [",", ";", "\t"])
+def test_file_without_header(tmp_path: Path, delimiter: str) -> None:
+    lines = [f"{n / 100:.2f}{delimiter}{n}{delimiter}{-n}" for n in range(100)]
+    path = write(tmp_path / "cell.csv", "\n".join(lines))
+    blocks = imported(path, header=False, topic="2", unit="N")
+    assert force_of(blocks) == [-float(n) for n in range(100)]
+    assert blocks[0].source == "cell.csv, 2"
+    with pytest.raises(SettingsError, match="topic is empty: must be one of 1, 2"):
+        imported(path, header=False, unit="N")
+    with pytest.raises(BagError, match="use --no-header"):
+        imported(path)
+
+
+@pytest.mark.parametrize("header", ["Zeit, s;Kraft, N", "Time (s);Force (N)", "Zeit (s)\tKraft (N)"])
+def test_decimal_comma(tmp_path: Path, header: str) -> None:
+    delimiter = "\t" if "\t" in header else ";"
+    lines = [f"{n / 100:.2f}{delimiter}{n / 4}".replace(".", ",") for n in range(100)]
+    path = write(tmp_path / "cell.csv", "\n".join([header, *lines]))
+    blocks = imported(path, unit="" if "(N)" in header else "N", **({"time_column": "0"} if "Zeit," in header else {}))
+    assert force_of(blocks) == [n / 4 for n in range(100)]
+    assert blocks[0].sample_rate == pytest.approx(100.0)
+
+
+@pytest.mark.parametrize(
+    ("first", "stamp_ns"),
+    [
+        ("2025-01-01T10:00:00.{:03d}+01:00", 1_735_722_000 * NS),
+        ("2025-01-01 09:00:00,{:03d}Z", 1_735_722_000 * NS),
+        ("2025-01-01T09:00:00.{:03d}000000", 1_735_722_000 * NS),
+        ("20250101T060000.{:03d}-0300", 1_735_722_000 * NS),
+        ("10:00:00.{:03d}", 36_000 * NS),
+    ],
+)
+def test_times_in_iso_8601(tmp_path: Path, first: str, stamp_ns: int) -> None:
+    lines = [f"{first.format(n * 10)};{n}" for n in range(100)]
+    blocks = imported(write(tmp_path / "cell.csv", "\n".join(["timestamp;f (N)", *lines])))
+    assert (blocks[0].stamp_ns, blocks[0].sample_rate) == (stamp_ns, pytest.approx(100.0))
+
+
+@pytest.mark.parametrize("text", ["2025-13-01T10:00:00", "2025-01-01T25:00:00", "2025-01-01", "01.01.2025 10:00:00"])
+def test_time_that_is_no_iso_8601_is_refused(tmp_path: Path, text: str) -> None:
+    with pytest.raises(BagError, match=r"line 2: t = .*: must be digits .*, or in ISO 8601"):
+        imported(write(tmp_path / "cell.csv", f"t;f (N)\n{text};1\n"))
+
+
+@pytest.mark.parametrize("text", ["x" * 200_000, "a,b\n" + "y" * 5_000_000, '"' + "z" * 200_000 + '",b\n1,2\n'])
+def test_long_line_is_refused(tmp_path: Path, text: str) -> None:
+    with pytest.raises(BagError, match=r"line \d"):
+        imported(write(tmp_path / "cell.csv", text))
+
+
+def test_many_columns_are_no_long_line(tmp_path: Path) -> None:
+    names = [f"other {n} (degC)" for n in range(12_000)]
+    rows = [",".join([f"{n / 100}", f"{n}", *["0"] * len(names)]) for n in range(3)]
+    path = write(tmp_path / "cell.csv", "\n".join([",".join(["t", "f (N)", *names]), *rows]))
+    assert force_of(imported(path)) == [0.0, 1.0, 2.0]
+
+
+def test_pipe_is_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "cell.csv")
+    with pytest.raises(BagError, match="must be a regular file"):
+        imported(tmp_path / "cell.csv")

@@ -93,3 +93,35 @@ def test_error_is_one_line_and_leaves_no_bag(tmp_path: Path, text: str, mapping:
     assert message in str(error.value)
     assert "\n" not in str(error.value)
     assert not (tmp_path / "out.mcap").exists()
+
+
+SIMPLE = "joints:\n  joint1: {position: a}\n"
+
+
+def test_constant_rate_in_place_of_times(tmp_path: Path) -> None:
+    _, states = states_of(tmp_path, "a\n1\n2\n3\n", f"rate: 125\n{SIMPLE}")
+    assert [state.stamp_ns for state in states] == [10**9, 10**9 + 8_000_000, 10**9 + 16_000_000]
+    (tmp_path / "map.yaml").write_text(f"time: x\n{SIMPLE}", encoding="utf-8")
+    imported = write_joint_state_bag(tmp_path / "log.csv", tmp_path / "map.yaml", tmp_path / "o.mcap", rate=100.0)
+    assert imported.last_stamp_s == pytest.approx(1.02)
+    for mapping in (SIMPLE, f"time: a\nrate: 5\n{SIMPLE}"):
+        with pytest.raises(SettingsError, match="time: must be a column, or rate"):
+            states_of(tmp_path, "a\n1\n", mapping)
+
+
+def test_iso_times_decimal_commas_and_no_header(tmp_path: Path) -> None:
+    text = "2025-01-01T10:00:00,5+01:00;0,25\n2025-01-01T10:00:01+01:00;0,5\n"
+    (tmp_path / "map.yaml").write_text('time: 0\ndelimiter: ";"\njoints:\n  joint1: {position: 1}\n', encoding="utf-8")
+    (tmp_path / "log.csv").write_text(text, encoding="utf-8")
+    write_joint_state_bag(tmp_path / "log.csv", tmp_path / "map.yaml", tmp_path / "o.mcap", header=False)
+    with open_bag(tmp_path / "o.mcap") as bag:
+        states = [state for block in bag.joint_state_blocks() for state in block.states()]
+    assert [(state.stamp_ns, state.position[0]) for state in states] == [
+        (1_735_722_000_500_000_000, 0.25),
+        (1_735_722_001_000_000_000, 0.5),
+    ]
+
+
+def test_decimal_commas_between_commas_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(BagError, match="has 4 fields, the first row 2: must be as many"):
+        states_of(tmp_path, "t,a\n0,5,1,5\n", f"time: t\n{SIMPLE}")

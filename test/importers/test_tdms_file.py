@@ -125,3 +125,65 @@ def test_damaged_file_is_refused_without_other_output(tmp_path: Path, capfd: pyt
         with pytest.raises(BagError, match=rf"{name}: {problem}"):
             imported(tmp_path / name)
     assert capfd.readouterr() == ("", "")
+
+
+def append(path: Path, data: np.ndarray, properties: dict[str, Any], mode: str = "a") -> None:
+    with TdmsWriter(path, mode=mode) as writer:
+        writer.write_segment([ChannelObject("g", "c", data, properties)])
+
+
+def restarted(path: Path, pause_s: float) -> Path:
+    """Write one second of samples, and another one that begins `pause_s` after its end."""
+    append(path, np.zeros(12_800), TIMING, "w")
+    start = START + np.timedelta64(round(1e6 * (1.0 + pause_s)), "us")
+    for half in np.split(np.ones(12_800), 2):  # the second half goes on: the same start time, stated again
+        append(path, half, TIMING | {"wf_start_time": start})
+    return path
+
+
+@pytest.mark.parametrize("pause_s", [0.0, 0.5, 59.0])
+def test_pause_before_a_restart_is_a_gap(tmp_path: Path, pause_s: float) -> None:
+    blocks = imported(restarted(tmp_path / "run.tdms", pause_s))
+    assert lost_in(blocks) == ([(round(12_800 * (1 + pause_s)), round(12_800 * pause_s))] if pause_s else [])
+    begin = next(block for block in blocks if block.force[0] == 1.0)
+    assert begin.stamp_ns == START_NS + round((1.0 + pause_s) * NS)
+    assert blocks[0].stamp_ns == START_NS
+
+
+def test_restart_before_the_end_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(BagError, match=r"sample 12800: wf_start_time is 0.500000 s before the end"):
+        imported(restarted(tmp_path / "run.tdms", -0.5))
+
+
+def test_rate_that_changes_is_refused(tmp_path: Path) -> None:
+    path = restarted(tmp_path / "run.tdms", 1.0)
+    append(path, np.ones(10), {"wf_increment": 1e-3})
+    with pytest.raises(BagError, match="wf_increment changes from"):
+        imported(path)
+
+
+@pytest.mark.parametrize("unit", ["s", "ms", None])
+def test_times_of_a_channel(tmp_path: Path, unit: str | None) -> None:
+    seconds = np.arange(1000) / 500.0
+    times = {None: START + (seconds * 1e6).astype("timedelta64[us]"), "s": seconds, "ms": 1e3 * seconds}[unit]
+    properties = {"unit_string": unit} if unit else {}
+    path = write(
+        tmp_path / "run.tdms", {"g/Time": (times, properties), "g/Force": (np.arange(1000.0), {"unit_string": "N"})}
+    )
+    for settings in ({}, {"time_column": "Time"}, {"time_column": "g/Time"}):
+        blocks = imported(path, **settings)
+        assert force_of(blocks) == [*range(1000)]
+        assert blocks[0].sample_rate == pytest.approx(500.0)
+        assert blocks[0].stamp_ns == (0 if unit else START_NS)
+
+
+def test_channel_without_times_needs_a_rate(tmp_path: Path) -> None:
+    path = write(tmp_path / "run.tdms", {"g/c": (FORCE, {"unit_string": "N"})})
+    with pytest.raises(
+        BagError, match=r"wf_increment = missing: .*; state --rate HZ, or the channel of the times with"
+    ):
+        imported(path)
+    blocks = imported(path, rate=1000.0)
+    assert (blocks[0].sample_rate, len(force_of(blocks))) == (1000.0, len(FORCE))
+    with pytest.raises(SettingsError, match="rate = 1000: must be empty, the file has times"):
+        imported(write(tmp_path / "timed.tdms", {"g/c": (FORCE, TIMING)}), rate=1000.0)

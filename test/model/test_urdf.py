@@ -298,7 +298,8 @@ class TestFixedJoints:
     [
         ("</robot>", "", "not XML"),
         ("<robot", "\x00<robot", "not XML"),
-        ("robot", "sdf", "root element = <sdf>"),
+        ("robot", "sdf", "root element = <sdf>: must be <robot>; this is SDF: use the robot's URDF, or convert"),
+        ("robot", "mujoco", "root element = <mujoco>: must be <robot>; this is MJCF: use the robot's URDF, or convert"),
         ("<robot ", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" ', None),
         ("</robot>", '<x:macro xmlns:x="http://www.ros.org/wiki/xacro" name="m"/></robot>', "xacro"),
         ('name="j2"', 'name="j1"', "joint 'j1': must have a unique name"),

@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Import of force from LabVIEW measurement files."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from scara_effmass.errors import BagError, SettingsError
+from scara_effmass.extras import missing_extra
+from test.importers.conftest import NS, force_of, imported, lost_in
+
+HEAD = """LabVIEW Measurement
+Writer_Version	2
+Reader_Version	2
+Separator	Tab
+Decimal_Separator	{mark}
+X_Columns	{columns}
+Time_Pref	Absolute
+Date	2025/01/01
+Time	09:00:00{mark}25
+***End_of_Header***
+
+"""
+SEGMENT = """Channels	2
+Samples	3	3
+Date	2025/01/01	2025/01/01
+Time	09:00:0{second}{mark}25	09:00:0{second}{mark}25
+Y_Unit_Label	Newtons	Celsius
+X0	0	0
+Delta_X	0{mark}01	0{mark}01
+***End_of_Header***
+X_Value	Force	Bridge	Comment
+{rows}
+"""
+
+
+def text(mark: str = ".", columns: str = "No", seconds: tuple[int, ...] = (0,)) -> str:
+    segments = []
+    for second in seconds:
+        x = [f"{n / 100:.2f}" if columns == "One" else "" for n in range(3)]
+        rows = "\n".join(f"{x[n]}\t{n}.5\t{-n}.5" for n in range(3)).replace(".", mark)
+        segments.append(SEGMENT.format(mark=mark, second=second, rows=rows))
+    return HEAD.format(mark=mark, columns=columns) + "\n".join(segments)
+
+
+def write(path: Path, content: str) -> Path:
+    path.write_text(content, encoding="utf-8")
+    return path
+
+
+def test_missing_library_is_named_with_its_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "lvm_read", None)
+    monkeypatch.delitem(sys.modules, "scara_effmass.importers.lvm_file", raising=False)
+    with pytest.raises(ModuleNotFoundError) as error:
+        imported(write(tmp_path / "a.lvm", text()))
+    assert missing_extra(error.value) == "lvm_read: must be installed: pip install 'scara_effmass[daq]'"
+
+
+class TestFile:
+    @pytest.fixture(autouse=True)
+    def library(self) -> None:
+        pytest.importorskip("lvm_read")
+
+    @pytest.mark.parametrize("mark", [".", ","])
+    @pytest.mark.parametrize("columns", ["No", "One"])
+    def test_times_unit_and_values(self, tmp_path: Path, mark: str, columns: str) -> None:
+        path = write(tmp_path / "a.lvm", text(mark, columns))
+        (block,) = imported(path)
+        assert (force_of([block]), block.sample_rate) == ([0.5, 1.5, 2.5], pytest.approx(100.0))
+        assert (block.stamp_ns, block.source) == (1_735_722_000 * NS + NS // 4, "a.lvm, Force")
+        assert len(force_of(imported(path, topic="Bridge", unit="N"))) == 3
+        assert list(tmp_path.iterdir()) == [path]  # no pickle
+
+    def test_a_restart_is_a_gap(self, tmp_path: Path) -> None:
+        path = write(tmp_path / "a.lvm", text(seconds=(0,)))
+        assert lost_in(imported(path)) == []
+        with pytest.raises(BagError, match="must have times that advance"):
+            imported(write(path, text(seconds=(5, 0))))
+
+    def test_a_pickle_beside_it_is_not_read(self, tmp_path: Path) -> None:
+        (tmp_path / "a.lvm.pkl").write_bytes(b"cos\nsystem\n(S'touch /tmp/never'\ntR.")
+        assert len(force_of(imported(write(tmp_path / "a.lvm", text())))) == 3
+
+    @pytest.mark.parametrize("content", ["", "LabVIEW Measurement\n", text().replace("Delta_X", "No"), text()[:300]])
+    def test_damaged_file_is_refused_in_one_line(self, tmp_path: Path, content: str) -> None:
+        with pytest.raises((BagError, SettingsError)) as error:
+            imported(write(tmp_path / "a.lvm", content))
+        assert "\n" not in str(error.value)
