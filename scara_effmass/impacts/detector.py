@@ -352,19 +352,18 @@ class Detector:
         if self._first_search:
             self._count_unseen(baseline.force, baseline.threshold)
             # The recording may begin just before a load.
-            self._level.settle(min(self._unseen[0], *(frame.median_and_deviation[0] for frame in self._candidates)))
+            levels = (frame.median_and_deviation[0] for frame in self._candidates)
+            self._level.settle(min([baseline.force, self._unseen[0], *levels]))
         earlier, self._baseline = self._unloaded or self._baseline, baseline
         self._settled = True
         self._processed = self._held_from
         if not self._first_search:
             self._counted = self._held_from + 1  # events that continue from before have been counted
-        impacts: list[Impact] = []
-        if self._slow is not None and baseline.force <= self._level.zero + self._level.load + self._settings.threshold:
-            impacts.append(self._slow.impact)  # drift would not end at once: it was a press
-            self._slow = None
+        is_back = baseline.force <= self._level.zero + self._level.load + self._settings.threshold
+        slow = self._end_slow(at_once=True) if is_back else []
         self._level.settle(baseline.force)
         self._unloaded = earlier if self._level.load and not self._first_search else None
-        return impacts if self._level.load else self._end_held() + impacts
+        return slow if self._level.load else self._end_held() + slow
 
     def _count_unseen(self, level: float, threshold: float) -> None:
         """Count the force before the first baseline that was above `level` by more than `threshold` [N]."""
@@ -465,11 +464,18 @@ class Detector:
         self._rebound, self._end = rebound, end
         return HeldContact(impact, level, RELEASE * self._settings.threshold, block.sample_rate)
 
-    def _end_slow(self) -> None:
-        """Count a slow change that is over, or whose end the signal does not show."""
-        if self._slow is not None:
-            self.left_out.add(SLOW_CHANGE, self._slow.largest, self._slow.impact.stamp_ns)
-            self._slow = None
+    def _end_slow(self, *, at_once: bool = False) -> list[Impact]:
+        """Count a slow change that is over, or whose end is not known; if it ended `at_once`, return it as a press.
+
+        Drift would not end at once. A press that began before another contact would not be in order.
+        """
+        slow, self._slow = self._slow, None
+        if slow is None:
+            return []
+        if at_once and slow.impact.onset_sample > self._last:
+            return [slow.impact]
+        self.left_out.add(SLOW_CHANGE, slow.largest, slow.impact.stamp_ns)
+        return []
 
     def _split(self, start: int) -> list[Impact]:
         """Report the finished contacts of a segment that is too long, and continue with the unfinished one."""
