@@ -32,6 +32,7 @@ from scara_effmass.impacts.segment import (
     Frame,
     Segment,
     classify,
+    longest_flat_run,
 )
 from scara_effmass.iso15066 import TRANSIENT_S
 from scara_effmass.settings import DetectionSettings
@@ -336,8 +337,11 @@ class Detector:
 
     def _is_at_rest(self) -> bool:
         """Return whether the force hardly moves, as that of a thing that lies still."""
-        levels = [frame.median_and_deviation[0] for frame in list(self._candidates)[-self._rest_frames :]]
-        return len(levels) == self._rest_frames and bool(np.ptp(levels) <= REST_SHARE * self._baseline.threshold)
+        rest = list(self._candidates)[-self._rest_frames :]
+        levels = [frame.median_and_deviation[0] for frame in rest]
+        if len(rest) < self._rest_frames or np.ptp(levels) > REST_SHARE * self._baseline.threshold:
+            return False
+        return all(longest_flat_run(frame.samples) < self._baseline.flat_run for frame in rest)  # not stuck
 
     def _adopt(self, frames: Iterable[Frame]) -> list[Impact]:
         """Adopt `frames` as the baseline, unless the signal is stuck but was noisy before.
@@ -388,8 +392,11 @@ class Detector:
 
     def _goes_on(self, contact: DetectedContact, start: int) -> bool:
         """Return whether the last `contact` of the segment that starts at sample `start` has not ended yet."""
-        present = np.flatnonzero(np.isfinite(self._buffer.samples(start, self._processed)))
-        return bool(contact.last >= present[-1] - self._frame_size)  # a gap may follow
+        samples = self._buffer.samples(start, self._processed)
+        last = Frame(samples[-self._frame_size :])
+        present = np.flatnonzero(np.isfinite(samples))  # a gap may follow
+        is_loaded = last.is_present and np.median(last.samples) > self._baseline.force + self._baseline.threshold
+        return bool(is_loaded or contact.last >= present[-1] - self._frame_size)  # the signal may be stuck
 
     def _process(self, frame: Frame) -> list[Impact]:
         """Process the next frame."""
