@@ -32,6 +32,7 @@ from scara_effmass.impacts.segment import (
     Frame,
     Segment,
     classify,
+    longest_flat_run,
 )
 from scara_effmass.iso15066 import TRANSIENT_S
 from scara_effmass.settings import DetectionSettings
@@ -336,8 +337,11 @@ class Detector:
 
     def _is_at_rest(self) -> bool:
         """Return whether the force hardly moves, as that of a thing that lies still."""
-        levels = [frame.median_and_deviation[0] for frame in list(self._candidates)[-self._rest_frames :]]
-        return len(levels) == self._rest_frames and bool(np.ptp(levels) <= REST_SHARE * self._baseline.threshold)
+        rest = list(self._candidates)[-self._rest_frames :]
+        levels = [frame.median_and_deviation[0] for frame in rest]
+        if len(rest) < self._rest_frames or np.ptp(levels) > REST_SHARE * self._baseline.threshold:
+            return False
+        return all(longest_flat_run(frame.samples) < self._baseline.flat_run for frame in rest)  # not stuck
 
     def _adopt(self, frames: Iterable[Frame]) -> list[Impact]:
         """Adopt `frames` as the baseline, unless the signal is stuck but was noisy before.
@@ -352,19 +356,18 @@ class Detector:
         if self._first_search:
             self._count_unseen(baseline.force, baseline.threshold)
             # The recording may begin just before a load.
-            self._level.settle(min(self._unseen[0], *(frame.median_and_deviation[0] for frame in self._candidates)))
+            levels = (frame.median_and_deviation[0] for frame in self._candidates)
+            self._level.settle(min([baseline.force, self._unseen[0], *levels]))
         earlier, self._baseline = self._unloaded or self._baseline, baseline
         self._settled = True
         self._processed = self._held_from
         if not self._first_search:
             self._counted = self._held_from + 1  # events that continue from before have been counted
-        impacts: list[Impact] = []
-        if self._slow is not None and baseline.force <= self._level.zero + self._level.load + self._settings.threshold:
-            impacts.append(self._slow.impact)  # drift would not end at once: it was a press
-            self._slow = None
+        is_back = baseline.force <= self._level.zero + self._level.load + self._settings.threshold
+        slow = self._end_slow(at_once=True) if is_back else []
         self._level.settle(baseline.force)
         self._unloaded = earlier if self._level.load and not self._first_search else None
-        return impacts if self._level.load else self._end_held() + impacts
+        return slow if self._level.load else self._end_held() + slow
 
     def _count_unseen(self, level: float, threshold: float) -> None:
         """Count the force before the first baseline that was above `level` by more than `threshold` [N]."""
@@ -389,8 +392,11 @@ class Detector:
 
     def _goes_on(self, contact: DetectedContact, start: int) -> bool:
         """Return whether the last `contact` of the segment that starts at sample `start` has not ended yet."""
-        present = np.flatnonzero(np.isfinite(self._buffer.samples(start, self._processed)))
-        return bool(contact.last >= present[-1] - self._frame_size)  # a gap may follow
+        samples = self._buffer.samples(start, self._processed)
+        last = Frame(samples[-self._frame_size :])
+        present = np.flatnonzero(np.isfinite(samples))  # a gap may follow
+        is_loaded = last.is_present and np.median(last.samples) > self._baseline.force + self._baseline.threshold
+        return bool(is_loaded or contact.last >= present[-1] - self._frame_size)  # the signal may be stuck
 
     def _process(self, frame: Frame) -> list[Impact]:
         """Process the next frame."""
@@ -465,11 +471,18 @@ class Detector:
         self._rebound, self._end = rebound, end
         return HeldContact(impact, level, RELEASE * self._settings.threshold, block.sample_rate)
 
-    def _end_slow(self) -> None:
-        """Count a slow change that is over, or whose end the signal does not show."""
-        if self._slow is not None:
-            self.left_out.add(SLOW_CHANGE, self._slow.largest, self._slow.impact.stamp_ns)
-            self._slow = None
+    def _end_slow(self, *, at_once: bool = False) -> list[Impact]:
+        """Count a slow change that is over, or whose end is not known; if it ended `at_once`, return it as a press.
+
+        Drift would not end at once. A press that began before another contact would not be in order.
+        """
+        slow, self._slow = self._slow, None
+        if slow is None:
+            return []
+        if at_once and slow.impact.onset_sample > self._last:
+            return [slow.impact]
+        self.left_out.add(SLOW_CHANGE, slow.largest, slow.impact.stamp_ns)
+        return []
 
     def _split(self, start: int) -> list[Impact]:
         """Report the finished contacts of a segment that is too long, and continue with the unfinished one."""

@@ -80,7 +80,7 @@ class HeldContact:
         self._impact = self._impact._replace(
             peak_force=max(self._impact.peak_force, lasting_peak(force[:late])),
             held_force=max(self._impact.held_force, lasting_peak(force[late:stop])),
-            impulse=self._impact.impulse + float(np.nansum(force[:stop])) / self._rate,
+            impulse=self._impact.impulse + float(np.nansum(force[:stop].clip(0.0))) / self._rate,
             duration=(self._end - self._impact.onset_sample) / self._rate,
         )
 

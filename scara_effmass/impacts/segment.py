@@ -500,6 +500,8 @@ def _contact(signal: _Signal, span: Span, spans: list[Span], durations: _Duratio
         # Force below the baseline shows a load that was released since; after another contact it may be ringing.
         and bool(before or np.count_nonzero(rest < -threshold) < MIN_INCOMPLETE_SAMPLES)
     )
+    if contact.held and not complete:  # how quickly the force rose is not known
+        contact = contact._replace(compression_area=0.0)
     return contact._replace(complete=complete, clipped=clipped)
 
 
