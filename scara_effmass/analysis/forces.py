@@ -299,6 +299,26 @@ def file_traces(
     return [trace._replace(complete=bool(intact)) for trace, intact in zip(traces, complete, strict=True)]
 
 
+def file_rise_ns(path: Path, settings: ImportSettings) -> int | None:
+    """Return the stamp [ns] from which the force in a file rises to its peak; None if it holds no rise.
+
+    Raises BagError, SettingsError.
+    """
+    stamps, forces = [], []
+    for _, block in file_measurements(path, settings, Counter()):
+        if isinstance(block, ForceBlock) and len(block.force):
+            stamps.append(
+                block.stamp_ns + np.round(np.arange(len(block.force)) / block.sample_rate * NS).astype(np.int64)
+            )
+            forces.append(block.force)
+    if not forces:
+        return None
+    stamps_ns, force = np.concatenate(stamps), np.nan_to_num(np.concatenate(forces), nan=-math.inf)
+    peak, lowest = int(force.argmax()), float(force[np.isfinite(force)].min(initial=math.inf))
+    low = np.flatnonzero(force[:peak] <= lowest + LOW_SHARE * (force[peak] - lowest))
+    return int(stamps_ns[low[-1]]) if low.size else None
+
+
 def recorded_traces(forces: RecordedForce, title: str) -> list[ShownTrace]:
     """Return the recorded impacts that are no rebounds."""
     traces = []

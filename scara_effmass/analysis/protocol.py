@@ -78,6 +78,11 @@ class Identity(FrozenSettings):
     safety_checksum: Text | None = stated("checksum of the safety configuration, as the controller shows it")
     operator: Text | None = stated("who measured")
     test_date: date | None = stated("date of the measurement, YYYY-MM-DD")
+    report_number: Text | None = optional("number of the report")
+    report_date: date | None = optional("date of the report, YYYY-MM-DD")
+    site: Text | None = optional("where the cell is: company, address, hall")
+    cell: Text | None = optional("cell or application, as the risk assessment names it")
+    temperature_c: Annotated[float, Field(gt=-50.0, lt=100.0)] | None = optional("temperature at the measurement [°C]")
     standard: Text | None = stated("edition of the standard that states the limits")
     limits_hash: Text | None = stated("hash of the table of limits; `scara-effmass limits` prints it")
 
@@ -88,6 +93,7 @@ class Instrument(FrozenSettings):
     id: Text = Field(description="name that the test points refer to")
     model: Text | None = stated("maker and model")
     serial: Text | None = stated("serial number")
+    certificate: Text | None = optional("number of the calibration certificate")
     calibration_date: date | None = stated("date of the calibration, YYYY-MM-DD")
     calibration_due: date | None = stated("last day on which the calibration is valid, YYYY-MM-DD")
     stiffness_n_m: Positive | None = stated("stiffness of its spring [N/m]; 75 N/mm is 75000")
@@ -110,6 +116,8 @@ class TestPoint(FrozenSettings):
         f"one of {', '.join(BODY_REGIONS)}; the standard permits no contact with skull_forehead and face"
     )
     contact: ContactType | None = stated("transient (free impact) or quasi_static (clamped)")
+    hazard_id: Text | None = optional("id of the hazard in the risk assessment")
+    tool: Text | None = optional("tool or workpiece that makes contact, as its name and number")
     geometry: Text | None = stated('shape of the surface, as "flat, edges r = 5 mm"')
     contact_area_m2: Area | None = stated("area of the contact [m2], for the limit of the pressure; 1 cm2 is 1e-4")
     radius_mm: NotNegative | None = stated("smallest radius of edges and corners [mm]")
@@ -133,6 +141,10 @@ class Repetition(FrozenSettings):
     time: AwareDatetime | None = stated("time of the onset, ISO 8601 with zone, as 2026-11-22T14:03:12.5+01:00")
     raw_data: Text | None = stated("file or folder with the force, relative to this file")
     raw_sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")] | None = stated("SHA-256 of it; fill computes it")
+    raw_channel: Text | None = optional("CSV column, TDMS channel or topic of the force in it; null: the only one")
+    raw_unit: Annotated[str, Field(pattern="^(N|kN|lbf|kgf|V|mV)$")] | None = optional(
+        "unit of the force in it: N, kN, lbf, kgf, V or mV; null: as the file states"
+    )
     raw_offset_s: float | None = optional("time to add to the stamps in it [s], if it has another clock")
     reached_speed_m_s: Positive | None = stated("speed of the contact point at the onset [m/s]")
     transient_peak_n: NotNegative | None = stated("largest force in the first 0.5 s [N]")
@@ -182,7 +194,9 @@ class ContactTest(FrozenSettings):
     """One test point with its results."""
 
     id: Text = Field(description="name of the test, unique")
-    instrument: Text | None = stated("id of the instrument")
+    instrument: Text | None = stated("id of the instrument of the force")
+    pressure_instrument: Text | None = optional("id of the instrument of the pressure; null: the same")
+    speed_instrument: Text | None = optional("id of the instrument of the speed; null: the same")
     note: Text | None = optional("why this point was chosen")
     point: TestPoint = TestPoint()
     motion: Motion = Motion()
@@ -218,6 +232,12 @@ class Protocol(FrozenSettings):
     def device(self, test: ContactTest) -> Instrument | None:
         """Return the instrument of `test`, None if the test names none or an unknown one."""
         return next((item for item in self.instruments if item.id == test.instrument), None)
+
+    def other_devices(self, test: ContactTest) -> Iterator[tuple[str, Instrument | None]]:
+        """Yield each id of an instrument that measured something other than the force, and the instrument."""
+        for name in dict.fromkeys(filter(None, (test.pressure_instrument, test.speed_instrument))):
+            if name != test.instrument:
+                yield name, next((item for item in self.instruments if item.id == name), None)
 
     def replaced(self, test: ContactTest) -> "Protocol":
         """Return the protocol with `test` in place of the test with the same id."""

@@ -6,8 +6,8 @@ The verdict on a test point is OK only if nothing is missing and nothing is doub
 
 import math
 import os
+from base64 import b64encode
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime, timezone
 from itertools import groupby
@@ -16,7 +16,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from scara_effmass.analysis.forces import AFTER_S, ForceTrace, ShownTrace, file_traces, sampling_loss, shown
+from scara_effmass.analysis.forces import (
+    AFTER_S,
+    ForceTrace,
+    ShownTrace,
+    file_rise_ns,
+    file_traces,
+    sampling_loss,
+    shown,
+)
 from scara_effmass.analysis.protocol import (
     MIN_REPETITIONS,
     ContactTest,
@@ -37,10 +45,15 @@ from scara_effmass.settings import ContactType, ImportSettings, MonitorSettings
 from scara_effmass.values import ValidatedImpact, Verdict, at_least
 
 RECORD = "report.json"
+PHOTO_TYPES = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg", ".webp": "webp", ".gif": "gif"}
+MAX_PHOTO_BYTES = 10_000_000
+"""Size up to which a page holds a photo."""
 MAX_CONTACT_S = 10.0
 """Time after the onset in which the force counts, unless another contact begins."""
 SPEED_TOLERANCE = 0.05
 """Share of the commanded speed by which a contact may be slower."""
+IDENTITY = ("model", "serial", "calibration_date", "calibration_due")
+"""What is stated of an instrument that measures pressure or speed alone."""
 STIFFNESS_TOLERANCE = 0.1
 """Largest relative difference of stiffness with which a device stands for the body region."""
 
@@ -202,11 +215,7 @@ def _unknown_reasons(
     times = [item.time for item in repetitions if item.time]
     if len(set(times)) < len(times):
         yield "the same contact twice: results.repetitions.time must differ"
-    if instrument:
-        yield from _instrument_reasons(instrument, protocol, test)
-        yield from _missing_masses(test, instrument)
-    elif test.instrument:
-        yield f"unknown instrument: {test.instrument}"
+    yield from _device_reasons(protocol, test, instrument)
     for number, item in enumerate(repetitions, start=1):
         if (item.reached_speed_m_s or math.inf) < (1.0 - SPEED_TOLERANCE) * (motion.commanded_speed_m_s or 0.0):
             yield f"slower than commanded: contact {number}, {item.reached_speed_m_s:.3f} m/s"
@@ -214,17 +223,37 @@ def _unknown_reasons(
     yield from (f"photo not found: {name}" for name in test.results.photos or () if not (folder / name).is_file())
 
 
+def _device_reasons(protocol: Protocol, test: ContactTest, instrument: Instrument | None) -> Iterator[str]:
+    """Yield what is doubtful about the instruments of a test."""
+    if instrument:
+        yield from _instrument_reasons(instrument, protocol, test)
+        yield from _missing_masses(test, instrument)
+    elif test.instrument:
+        yield f"unknown instrument: {test.instrument}"
+    for name, device in protocol.other_devices(test):
+        if device is None:
+            yield f"unknown instrument: {name}"
+        else:
+            yield from (f"missing: instruments.{name}.{field}" for field in IDENTITY if getattr(device, field) is None)
+            yield from _calibration_reasons(device, protocol)
+
+
 def _instrument_reasons(instrument: Instrument, protocol: Protocol, test: ContactTest) -> Iterator[str]:
-    day, due, done = protocol.identity.test_date, instrument.calibration_due, instrument.calibration_date
+    day = protocol.identity.test_date
     if instrument.fixed is False and instrument.moving_mass_kg is None:
         yield f"missing: instruments.{instrument.id}.moving_mass_kg"
     if instrument.fixed is False and test.point.contact is ContactType.QUASI_STATIC:
         yield f"clamping needs a fixed device: instruments.{instrument.id}.fixed must be true"
-    if day and done and due and not done <= day <= due:
-        yield f"not calibrated on the day of the test: {instrument.id}"
+    yield from _calibration_reasons(instrument, protocol)
     other_days = sorted({item.time.date() for item in test.results.repetitions if item.time} - {day})
     if day and other_days:
         yield f"not measured on identity.test_date: {', '.join(map(str, other_days))}"
+
+
+def _calibration_reasons(instrument: Instrument, protocol: Protocol) -> Iterator[str]:
+    day, due, done = protocol.identity.test_date, instrument.calibration_due, instrument.calibration_date
+    if day and done and due and not done <= day <= due:
+        yield f"not calibrated on the day of the test: {instrument.id}"
 
 
 def _missing_masses(test: ContactTest, instrument: Instrument) -> Iterator[str]:
@@ -342,6 +371,7 @@ def write_report(protocol: Protocol, path: Path, folder: Path, options: PageOpti
     contacts = [item for test in protocol.tests for item in test.results.repetitions]
     data = [path.parent / item.raw_data for item in contacts if item.raw_data]
     photos = [path.parent / name for test in protocol.tests for name in test.results.photos or ()]
+    curves = list(_traces(protocol, path.parent))
     devices = [(test, protocol.device(test)) for test in protocol.tests]
     page = render(
         "protocol.html",
@@ -350,33 +380,95 @@ def write_report(protocol: Protocol, path: Path, folder: Path, options: PageOpti
         verdict=content["verdict"],
         running=protocol.identity.robot_model or path.name,
         simulated=any(item.simulated for item in contacts),
-        traces=list(_traces(protocol, path.parent)),
+        traces=[item for item in curves if isinstance(item, ShownTrace)],
+        curve_notes=[item for item in curves if isinstance(item, CurveNote)],
+        photos=list(_photos(protocol, path.parent)),
         budgets=[(test.id, uncertainty(test, device) if device else None) for test, device in devices],
         files=file_hashes(Path(os.path.normpath(item)) for item in (path, *data, *photos)),
     )
     write_report_files(folder, {PAGE: page, RECORD: content}, options=options, overwrite=overwrite)
 
 
-def _traces(protocol: Protocol, folder: Path) -> Iterator[ShownTrace]:
-    """Yield the force of the contacts whose raw data needs no further settings to be read."""
+class CurveNote(NamedTuple):
+    """What a report says about the curve of a contact, or why there is none."""
+
+    title: str
+    file: str
+    text: str
+
+
+class Contact(NamedTuple):
+    """Contact of a test in a report, and its onset."""
+
+    title: str
+    onset_ns: int
+    item: Repetition
+
+    def source(self) -> tuple[str | None, float | None, str | None, str | None]:
+        """Return where its force is."""
+        return self.item.raw_data, self.item.raw_offset_s, self.item.raw_channel, self.item.raw_unit
+
+    def shown(self, trace: ForceTrace) -> list[ShownTrace]:
+        """Return the curve, none if the trace ends before the onset."""
+        item = self.item
+        return shown(
+            self.title,
+            self.onset_ns,
+            trace,
+            simulated=bool(item.simulated),
+            peak=item.transient_peak_n or 0.0,
+            predicted=item.predicted_force_n,
+            speed=item.reached_speed_m_s,
+        )
+
+
+def _traces(protocol: Protocol, folder: Path) -> Iterator[ShownTrace | CurveNote]:
+    """Yield the force over time of each contact, or why there is none."""
     for test in protocol.tests:
-        items = [
-            (f"{test.id}, {number}", round(item.time.timestamp() * 1e6) * 1000, item)
+        entries = [
+            Contact(f"{test.id}, {number}", round(item.time.timestamp() * 1e6) * 1000, item)
             for number, item in enumerate(test.results.repetitions, start=1)
-            if item.raw_data and item.time and item.transient_peak_n is not None
+            if item.time and item.transient_peak_n is not None
         ]
-        for (name, offset_s), group in groupby(items, lambda entry: (entry[2].raw_data, entry[2].raw_offset_s or 0.0)):
-            contacts = list(group)  # of one file, so that it is read once
-            with suppress(EffmassError):
-                onsets_ns = [onset_ns for _, onset_ns, _ in contacts]
-                traces = file_traces(folder / str(name), ImportSettings(), onsets_ns, AFTER_S, offset_s)
-                for (title, onset_ns, item), trace in zip(contacts, traces, strict=True):
-                    yield from shown(
-                        title,
-                        onset_ns,
-                        trace,
-                        simulated=bool(item.simulated),
-                        peak=item.transient_peak_n or 0.0,
-                        predicted=item.predicted_force_n,
-                        speed=item.reached_speed_m_s,
-                    )
+        for _, group in groupby(entries, Contact.source):
+            yield from _curves(list(group), folder)  # of one file, so that it is read once
+
+
+def _curves(contacts: list[Contact], folder: Path) -> Iterator[ShownTrace | CurveNote]:
+    """Yield the curves of contacts whose force is in one file."""
+    name, offset_s, channel, unit = contacts[0].source()
+    if name is None:
+        yield from (CurveNote(contact.title, "", "no raw data is named") for contact in contacts)
+        return
+    path, settings = folder / name, ImportSettings(topic=channel or "", unit=unit or "")
+    onsets_ns = [contact.onset_ns for contact in contacts]
+    try:
+        curves = [
+            contact.shown(trace)
+            for contact, trace in zip(
+                contacts, file_traces(path, settings, onsets_ns, AFTER_S, offset_s or 0.0), strict=True
+            )
+        ]
+        if len(contacts) == 1 and offset_s is None and not curves[0]:  # typed in by hand, with a clock of its own
+            rise_ns = file_rise_ns(path, settings)
+            if rise_ns is not None:
+                own = file_traces(path, settings, onsets_ns, AFTER_S, (onsets_ns[0] - rise_ns) / 1e9)
+                curves = [contacts[0].shown(own[0])]
+                yield CurveNote(contacts[0].title, name, "drawn from its rise on, because the file has another clock")
+    except EffmassError as error:
+        reason = str(error).removeprefix(f"{path}: ")
+        yield from (CurveNote(contact.title, name, reason) for contact in contacts)
+        return
+    for contact, curve in zip(contacts, curves, strict=True):
+        yield from curve or [CurveNote(contact.title, name, "no force at the time of the contact: state raw_offset_s")]
+
+
+def _photos(protocol: Protocol, folder: Path) -> Iterator[tuple[str, str, str]]:
+    """Yield test, name and `data:` URI of each photo; the URI is empty for a file that a page cannot show."""
+    for test in protocol.tests:
+        for name in test.results.photos or ():
+            path = folder / name
+            kind = PHOTO_TYPES.get(path.suffix.lower(), "")
+            shows = bool(kind) and path.is_file() and path.stat().st_size <= MAX_PHOTO_BYTES
+            content = b64encode(path.read_bytes()).decode("ascii") if shows else ""
+            yield test.id, name, f"data:image/{kind};base64,{content}" if shows else ""

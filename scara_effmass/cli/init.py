@@ -6,6 +6,7 @@ import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from shlex import quote
 from textwrap import wrap
 from typing import Any
 
@@ -63,7 +64,8 @@ def run(args: argparse.Namespace) -> int:
     with atomic_file(args.output, overwrite=args.force) as path:
         path.write_text(_cell(settings, notes), encoding="utf-8")
     lines += [("assumed", text) for _, text in assumptions.lines]
-    print_lines([*lines, ("written", args.output), ("next", f"scara-effmass doctor --params {args.output}")])
+    next_step = f"scara-effmass doctor --params {quote(str(args.output))}"
+    print_lines([*lines, ("written", args.output), ("next", next_step)])
     return 1 if unknown else 0
 
 

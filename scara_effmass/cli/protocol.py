@@ -6,6 +6,7 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from scara_effmass.analysis.assessment import assessed_rows, joint_state_topic
@@ -66,7 +67,9 @@ def _init(args: argparse.Namespace) -> int:
     lines = [("test", f"{test.id}: {test.note}") for test in protocol.tests if test.note]
     lines += [("left out", f"{plan.unknown} contacts that are UNKNOWN")] if plan.unknown else []
     lines += [("left out", f"{plan.at_rest} contacts at rest")] if plan.at_rest else []
-    next_step = f"fill in the file, then: scara-effmass protocol fill {args.output} --test ID BAG"
+    # The recordings come first: argparse would take --test for the end of them.
+    test = f" --test {quote(protocol.tests[0].id)}" if len(protocol.tests) > 1 else ""
+    next_step = f"fill in the file, then: scara-effmass protocol fill {quote(str(args.output))} BAG{test}"
     result = {"output": str(args.output), **protocol.model_dump(mode="json")}
     print_result(result, [*lines, ("written", args.output), ("next", next_step)], as_json=args.json)
     return 0

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from shlex import quote
 from typing import final
 
 import numpy as np
@@ -205,7 +206,7 @@ class BagSource(ForceSource):
     def _open(self) -> ForceBlock:
         """Open the bag, find its topic of force and return the first block. Raises BagError."""
         path = Path(self._settings.path)
-        convert = f"convert its force first: scara-effmass import {path} -o BAG"
+        convert = f"convert its force first: scara-effmass import {quote(str(path))} -o BAG"
         if path.is_file() and path.suffix.lower() in IMPORTERS:
             raise BagError(f"{path}: is not a bag; {convert}")
         bag = self._bag = open_bag(path)

@@ -6,9 +6,21 @@ from scara_effmass.codes import Reason
 ROBOT_FILE = "correct the robot file; `scara-effmass doctor --robot FILE` names the joint and the value"
 DRIVER = "correct the driver that publishes the joint states"
 STAMPS = "let one node alone publish the joint states, with the time of each measurement as its stamp"
-CLOCKS = "synchronize the clocks of robot and monitor; offline, `--time header` assesses a recording on its own clock"
+OWN_CLOCK = "offline, `--time header` assesses a recording on its own clock"
+LATE = (
+    "synchronize the clocks of robot and monitor; if both run on one machine, free it of other load; for the stamps of "
+    f"a simulation set `use_sim_time`; {OWN_CLOCK}"
+)
+EARLY = (
+    "synchronize the clocks of robot and monitor; with `use_sim_time`, start what publishes /clock, without which time "
+    f"stands at 0; {OWN_CLOCK}"
+)
 CONNECTION = "check the driver and the topic; raise `timeout` above the period of the joint states"
 NAMES = "give the robot's names by `joint_map`, those of joint states without names by `joint_names`"
+PARTIAL = (
+    "let one node publish all joints of the robot in one joint state; make one that no driver reports fixed in the "
+    "robot file; if only the names differ, give the robot's by `joint_map`"
+)
 VELOCITY = "give a driver's velocities; without any, set `--velocity from-positions` (`velocity_source`)"
 COMMANDS = "publish the controller's commands on joint_commands, or set `command_tolerance` to 0"
 LOAD = "free the machine of other load, or assess fewer contact points"
@@ -20,7 +32,7 @@ REMEDIES = {
     Reason.NO_NAMES: NAMES,
     Reason.EMPTY_NAME: NAMES,
     Reason.NAMED_TWICE: DRIVER,
-    Reason.MISSING_JOINT: NAMES,
+    Reason.MISSING_JOINT: PARTIAL,
     Reason.SEVERAL_NAMES: "make the entries of `joint_map` fit each joint once",
     Reason.OTHER_ARM: (
         "give the robot file of this arm by `--robot`; if these are joints beside it, name them in `ignored_joints`"
@@ -31,8 +43,8 @@ REMEDIES = {
     Reason.LONE_POSITION: VELOCITY,
     Reason.SECOND_PUBLISHER: STAMPS,
     Reason.ZERO_STAMP: f"{STAMPS}; offline, `--time log` takes the recorder's time",
-    Reason.FUTURE_STAMP: CLOCKS,
-    Reason.OLD_STAMP: CLOCKS,
+    Reason.FUTURE_STAMP: EARLY,
+    Reason.OLD_STAMP: LATE,
     Reason.REPEATED_STAMP: STAMPS,
     Reason.BACKWARD_STAMP: STAMPS,
     Reason.COARSE_CLOCK: "publish /clock more often (`ros2 bag play --clock 100`), or raise `timeout`",
@@ -57,7 +69,7 @@ REMEDIES = {
     Reason.SILENCE: CONNECTION,
     Reason.NO_JOINT_STATE: CONNECTION,
     Reason.ONLY_OTHER_JOINTS: NAMES,
-    Reason.OTHER_JOINTS_SINCE: f"{CONNECTION}; {NAMES}",
+    Reason.OTHER_JOINTS_SINCE: CONNECTION,
     Reason.UNMODELLED_MOTION: (
         "give a robot file with this joint and contact points that it moves; name it in `ignored_joints` only if it "
         "moves nothing that can hit a person"

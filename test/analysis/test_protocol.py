@@ -16,7 +16,8 @@ from hypothesis import strategies as st
 from pydantic import BaseModel
 
 from scara_effmass.analysis.protocol import Evaluation, Plan, Protocol, missing, protocol_yaml, read_protocol
-from scara_effmass.analysis.protocol_evaluation import evaluate, evaluated, overall, repetitions
+from scara_effmass.analysis.protocol_evaluation import evaluate, evaluated, overall, repetitions, write_report
+from scara_effmass.analysis.report import PageOptions
 from scara_effmass.analysis.validation import ValidationSettings, validate
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.reference import RobotDynamics
@@ -55,6 +56,11 @@ def leaves(item: BaseModel, path: tuple[str | int, ...] = ()) -> Iterator[tuple[
 
 
 PREDICTED = ("effective_mass_kg", "reduced_mass_kg", "predicted_force_n")
+OPTIONAL = {
+    *("moving_mass_kg", "peak_pressure_n_cm2", "raw_offset_s", "raw_channel", "raw_unit", *PREDICTED),
+    *("report_number", "report_date", "site", "cell", "temperature_c", "certificate", "hazard_id", "tool"),
+    *("pressure_instrument", "speed_instrument"),
+}
 PATHS = [path for path in leaves(Protocol.model_validate(content())) if path[-1] not in {"note", "evaluation"}]
 
 
@@ -70,7 +76,7 @@ def without(path: tuple[str | int, ...]) -> dict[str, Any]:
 @pytest.mark.parametrize("path", PATHS, ids=lambda path: ".".join(map(str, path)))
 def test_a_missing_field_is_named_and_makes_the_verdict_unknown(path: tuple[str | int, ...], folder: Path) -> None:
     evaluation = result(without(path), folder)
-    if path[-1] in {"moving_mass_kg", "peak_pressure_n_cm2", "raw_offset_s", *PREDICTED}:
+    if path[-1] in OPTIONAL:
         assert evaluation.verdict == "OK"
         return
     named = [reason for reason in evaluation.reasons if reason.endswith(f".{path[-1]}")]
@@ -224,6 +230,83 @@ def test_what_is_doubtful_is_unknown(doubt: str, folder: Path) -> None:
     evaluation = result(changed(content(), CHANGES[doubt]), folder)
     assert evaluation.verdict == "UNKNOWN"
     assert any(reason.startswith(doubt) for reason in evaluation.reasons), evaluation.reasons
+
+
+def test_each_quantity_may_have_an_instrument_of_its_own_which_must_be_calibrated(folder: Path) -> None:
+    values = content()
+    film = {"id": "film", "model": "film", "serial": "2", "calibration_date": "2026-01-01"}
+    values["instruments"].append({**film, "calibration_due": "2026-12-31"})
+    values["tests"][0] |= {"pressure_instrument": "film", "speed_instrument": "device"}
+    assert result(values, folder).verdict == "OK"
+    values["instruments"][1]["calibration_due"] = "2026-03-03"
+    assert result(values, folder).reasons[1:] == ("not calibrated on the day of the test: film",)
+    values["instruments"][1]["calibration_due"] = None
+    assert result(values, folder).reasons[1:] == ("missing: instruments.film.calibration_due",)
+    values["tests"][0]["speed_instrument"] = "laser"
+    assert "unknown instrument: laser" in result(values, folder).reasons
+
+
+STATED = {
+    "identity": {"report_number": "R-17", "report_date": "2026-03-06", "site": "Hall 3", "cell": "Cell 7"},
+    "instruments": [{"certificate": "DKD-4711"}],
+    "tests": [{"point": {"hazard_id": "H-12", "tool": "gripper G2"}, "speed_instrument": "device"}],
+}
+
+
+def report_page(values: dict[str, Any], folder: Path, language: str = "en") -> str:
+    protocol = evaluated(Protocol.model_validate(values), folder)
+    output = folder / f"report_{language}"
+    write_report(protocol, folder / "protocol.yaml", output, PageOptions(language), overwrite=True)
+    return (output / "report.html").read_text(encoding="utf-8")
+
+
+def test_a_report_has_number_date_site_tool_hazard_and_certificate(folder: Path) -> None:
+    values = changed(content(), STATED)
+    values["identity"]["temperature_c"] = 21.5
+    page = report_page(values, folder)
+    for text in ("R-17, 2026-03-06", "Hall 3, Cell 7", "21.5 °C", "H-12", "gripper G2", "DKD-4711"):
+        assert f"<td>{text}</td>" in page, text
+
+
+def pulse_csv(path: Path, column: str = "Force (N)") -> None:
+    """Write 0.3 s of a pulse of 100 N at 0.1 s, times from 0 on, beside a column of another force."""
+    rows = (f"{i / 1000},{100.0 * np.sin(np.pi * max(0, min(i - 100, 20)) / 20):.3f},7" for i in range(300))
+    path.write_text("\n".join([f"Time (s),{column},Other (N)", *rows]) + "\n", encoding="utf-8")
+
+
+def test_a_report_draws_the_curves_of_files_that_were_named_by_hand(tmp_path: Path) -> None:
+    """Each contact has a file with times from 0 on; a curve that cannot be drawn says why."""
+    values = content()
+    for number, item in enumerate(values["tests"][0]["results"]["repetitions"]):
+        pulse_csv(tmp_path / f"{number}.csv")
+        item |= {"raw_data": f"{number}.csv", "raw_sha256": None, "raw_channel": "Force (N)"}
+    page = report_page(values, tmp_path)
+    assert page.count("<polyline") == 3
+    assert page.count("drawn from its rise on, because the file has another clock") == 3
+    values["tests"][0]["results"]["repetitions"][1]["raw_channel"] = "Kraft (N)"
+    values["tests"][0]["results"]["repetitions"][2]["raw_offset_s"] = 3.0
+    page = report_page(values, tmp_path)
+    assert page.count("<polyline") == 1
+    assert "1, 2, 1.csv: topic = Kraft (N): must be one of Time (s), Force (N), Other (N)" in page
+    assert "1, 3, 2.csv: no force at the time of the contact: state raw_offset_s" in page
+
+
+PIXEL = bytes.fromhex(
+    "89504e470d0a1a0a0000000d4948445200000001000000010802000000907753de0000000c4944415408d763f8cfc000000301010018dd8db00000"
+    "000049454e44ae426082"
+)
+
+
+def test_a_report_shows_the_photos(tmp_path: Path) -> None:
+    (tmp_path / "raw.csv").write_bytes(RAW)
+    (tmp_path / "set-up.png").write_bytes(PIXEL)
+    (tmp_path / "device.heic").write_bytes(b"?")
+    values = content()
+    values["tests"][0]["results"]["photos"] = ["set-up.png", "device.heic"]
+    page = report_page(values, tmp_path)
+    assert page.count("data:image/png;base64,iVBORw0KGgo") == 1
+    assert "device.heic: not found, larger than 10 MB, or no PNG, JPEG, WebP or GIF" in page
+    assert "Foto zu Prüfpunkt 1" in report_page(values, tmp_path, "de")
 
 
 def test_fewer_than_three_contacts_are_unknown(folder: Path) -> None:

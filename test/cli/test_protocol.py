@@ -2,6 +2,7 @@
 """`protocol`: init, fill, report and schema."""
 
 import json
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -53,6 +54,16 @@ def test_init_proposes_points_from_a_bag_or_from_the_workspace(
     done = cli("protocol", "init", "--map", "--samples", "100", *regions)
     assert done.stdout.count("240 N of 240 N") == 2
     assert "--map: must be without --from" in refused("protocol", "init", "--map", "--from", swing_bag, "--force")
+
+
+def test_the_hint_of_init_works_as_printed(cli: Cli, refused: Refused, swing_bag: Path) -> None:
+    regions = ("--region", "hand_fingers", "--region", "chest")
+    done = cli("protocol", "init", "--from", swing_bag, *regions, "-o", "my protocol.yaml")
+    (hint,) = (line for line in done.stdout.splitlines() if line.startswith("next"))
+    _, *words = shlex.split(hint.partition("then: ")[2])
+    assert words == ["protocol", "fill", "my protocol.yaml", "BAG", "--test", "chest_1"]
+    line = refused(*(swing_bag if word == "BAG" else word for word in words))
+    assert "stiffness_n_m: must be stated before contacts are filled in" in line
 
 
 def test_fill_enters_simulated_contacts_which_stay_unknown(

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 
 from scara_effmass.codes import ModelCode, Reason
 from scara_effmass.iso15066 import limits_for
+from scara_effmass.iso15066.drives import MAX_MOBILITY
 from scara_effmass.kernel.contact_kernel import ContactKernel
 from scara_effmass.kernel.records import CONTACT, MAX_JOINTS
 from scara_effmass.kernel.state import CODE, STATE
@@ -176,19 +177,52 @@ def test_kernel_equals_the_reference_where_joints_saturate(robot: Path, normal: 
     compare_robot(robot, servo | {"contact_normal": normal, "effective_mass_model": "full"}, 7)
 
 
-@pytest.mark.parametrize("scale", [1e-1, 1e-2, 1e-3, 1e-4])
-@pytest.mark.parametrize("normal", ["worst", "velocity", "0 0 1"])
-def test_kernel_equals_the_reference_for_very_light_servo_arms(tmp_path: Path, scale: float, normal: str) -> None:
-    """Joints that are held one by one count as immovable from another mass on than free ones."""
+def light_arm(path: Path, scale: float) -> Path:
+    """Write the shipped SCARA with all masses and inertias times `scale`."""
     file = yaml.safe_load(share("config", "omron_i4_550l.yaml").read_text(encoding="utf-8"))
     for body in (*file["links"], file["payload"]):
         body["mass"] *= scale
         body["inertia"] *= scale
-    path = tmp_path / "light.yaml"
     path.write_text(yaml.safe_dump(file, sort_keys=False), encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("scale", [1e-1, 1e-2, 1e-3, 1e-4])
+@pytest.mark.parametrize("normal", ["worst", "velocity", "0 0 1"])
+def test_kernel_equals_the_reference_for_very_light_servo_arms(tmp_path: Path, scale: float, normal: str) -> None:
+    """Joints that are held one by one count as immovable from another mass on than free ones."""
+    path = light_arm(tmp_path / "light.yaml", scale)
     for model in ("lumped", "full", "largest"):
         chosen = settings_of(drives="servo", contact_normal=normal, effective_mass_model=model)
         compare(RobotDynamics(load_robot(path, chosen)), chosen, 11)
+
+
+@pytest.mark.parametrize("computed_torque", [True, False])
+@pytest.mark.parametrize("person_speed", [0.0, 0.3])
+@pytest.mark.parametrize("mass_uncertainty", [0.1, 1.0])
+def test_kernel_takes_a_light_arm_as_immovable_from_the_same_mobility_as_the_reference(
+    tmp_path: Path, *, computed_torque: bool, person_speed: float, mass_uncertainty: float
+) -> None:
+    """Just below and above MAX_MOBILITY with the margin of the mass; taken too late, the speed would be too high."""
+    servo = {"drives": "servo", "servo": {"computed_torque": computed_torque}, "effective_mass_model": "full"}
+    chosen = settings_of(**servo, person_speed=person_speed, mass_uncertainty=mass_uncertainty)
+    limits = limits_for(chosen)
+    motions = motions_of(RobotDynamics(load_robot(light_arm(tmp_path / "whole.yaml", 1.0), chosen)), 11)[1:2]
+    motions[:, 3:] = 0.0
+    traces: list[float] = []
+    for ratio in (0.9, 0.98, 1.02, 1.1):
+        scale = 1.0
+        for _ in range(2):  # the mobility is that of the arm over its scale
+            path = light_arm(tmp_path / "light.yaml", scale)
+            dynamics = RobotDynamics(load_robot(path, chosen))
+            expected = computed(ReferenceChannel(dynamics, chosen, limits), dynamics, motions)
+            trace = float(expected["full_mobility"][0, 0][[0, 3, 5]].sum())
+            scale *= trace / (ratio * MAX_MOBILITY * (1.0 + mass_uncertainty))
+        contacts = computed(ContactKernel(dynamics, chosen, limits), dynamics, motions)
+        for name in ("allowable_speed", "force_bound", "verdict"):
+            np.testing.assert_allclose(contacts[name], expected[name], CANCELLED, CANCELLED, err_msg=f"{name}, {ratio}")
+        traces.append(trace / (MAX_MOBILITY * (1.0 + mass_uncertainty)))
+    assert traces == pytest.approx([0.9, 0.98, 1.02, 1.1], rel=1e-6)
 
 
 @pytest.mark.parametrize("count", [0, 1])
