@@ -63,7 +63,10 @@ class BagTask:
 
 @dataclass(slots=True)
 class BagResult:
-    """Result of one recording; can be pickled. `series` by contact point and `force` are for the report."""
+    """Result of one recording; can be pickled. `series` by contact point and `force` are for the report.
+
+    `unmodelled` are joints that moved, but are not in the model.
+    """
 
     summary: Summary
     counts: dict[str, int]
@@ -72,6 +75,7 @@ class BagResult:
     generated: bool = False
     force: RecordedForce | None = None
     series: Mapping[str, TimeSeries] = field(default_factory=dict)
+    unmodelled: tuple[str, ...] = ()
 
 
 def assess_bag(
@@ -113,6 +117,7 @@ def assess_bag(
             written.result()
         counts = {"joint_states": count + monitor.ignored, "foreign": monitor.ignored, "refused": monitor.rejected}
         result = BagResult(summary, counts, (), list(skew.lines(settings, task.time)))
+        result.unmodelled = monitor.unmodelled_joints
         if task.report:
             builds = (builder.build() for builder in series)
             result.series = dict(zip(dynamics.contact_points, builds, strict=True))
@@ -130,6 +135,7 @@ class Record(NamedTuple):
     counts: dict[str, int]
     losses: tuple[str, ...]
     notes: list[tuple[str, str]]
+    unmodelled: tuple[str, ...] = ()
 
 
 _RECORD = TypeAdapter(Record, config={"ser_json_inf_nan": "constants"})
@@ -171,14 +177,15 @@ def assess_part(
                 (folder / record.part).unlink(missing_ok=True)
         elif not task.cross_check and (folder / record.part).exists():
             advance(1, 1)
-            return BagResult(record.summary, record.counts, record.losses, record.notes)
+            known = record.summary, record.counts, record.losses, record.notes
+            return BagResult(*known, unmodelled=record.unmodelled)
     with open_bag(path) as bag:
         day = iso_time(bag.start_ns)[:10]
     part = f"cell={cell}/day={day}/{path.stem}-{content[:16]}.parquet"
     origin = provenance(task.settings, dynamics.robot.origin, [path])
     with open_writer(folder / part, origin, dynamics.robot.base_frame, overwrite=True) as table:
         result = assess_bag(path, task, dynamics, table, advance)
-    record = Record(key, part, result.summary, result.counts, result.losses, result.notes)
+    record = Record(key, part, result.summary, result.counts, result.losses, result.notes, result.unmodelled)
     with atomic_file(file, overwrite=True) as unfinished:
         unfinished.write_bytes(_RECORD.dump_json(record))
     return result

@@ -19,10 +19,11 @@ from scara_effmass.analysis.summary import Summary
 from scara_effmass.bags.files import open_bag
 from scara_effmass.cli.console import print_lines, progress_bar
 from scara_effmass.cli.doctor import cell_results
-from scara_effmass.cli.options import Option, monitor_settings, options_of
+from scara_effmass.cli.options import Option, monitor_settings, options_of, robot_line
 from scara_effmass.codes import Assumption
 from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.iso15066 import BODY_REGIONS
+from scara_effmass.model.urdf import CHAIN_NOTES
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.safety.assumptions import Assumptions, assumptions_of, name_of
@@ -47,7 +48,8 @@ def run(args: argparse.Namespace) -> int:
     if sys.stdin.isatty():
         settings, dynamics = _interview(args, settings, dynamics)
     settings, assumptions = _stated(settings, dynamics)
-    lines = [("robot", dynamics.robot.origin), ("contact points", ", ".join(dynamics.contact_points))]
+    lines = [robot_line(dynamics.robot, settings), ("contact points", ", ".join(dynamics.contact_points))]
+    lines += [("", note) for note in dynamics.robot.notes if note.startswith(CHAIN_NOTES)]
     unknown = False
     notes = [
         "Parameters of a cell, for nodes and commands: --params FILE, launch argument params_file.",

@@ -34,6 +34,13 @@ from scara_effmass.model.description import (
 from scara_effmass.settings import MonitorSettings
 
 MOVING = ("revolute", "continuous", "prismatic")
+CHAIN_NOTES = (
+    "contact point ",
+    "chains of as many joints ",
+    "held fixed in the model: ",
+    "the arm ends at its gripper",
+)
+"""Starts of the notes on which joints the model moves, and why."""
 MAX_JOINTS = 500
 """Largest number of joints in a file, fixed ones included; the time to check them grows with its square."""
 _MAX_NUMBER = 1e6
@@ -382,8 +389,8 @@ class UrdfTree:
         kind = self.kind(joint)
         if kind not in {*MOVING, "fixed"} and joint not in self.locked:
             raise RobotError(
-                f"{self.origin}: joint {joint}: type = {kind!r}: must be one of {', '.join(MOVING)}, fixed: describe it by "
-                "prismatic and continuous joints, or, if it never moves, hold it by locked_joints"
+                f"{self.origin}: joint {joint}: type = {kind!r}: must be one of {', '.join(MOVING)}, fixed: describe "
+                "it by prismatic and continuous joints, or, if it never moves, hold it by locked_joints"
             )
         if kind != "fixed" and joint not in self.locked and self.joints[joint].find("mimic") is not None:
             raise RobotError(f"{self.origin}: joint {joint}: must not mimic another joint: fix it with locked_joints")

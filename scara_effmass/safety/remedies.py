@@ -20,7 +20,9 @@ REMEDIES = {
     Reason.NO_NAMES: NAMES,
     Reason.EMPTY_NAME: NAMES,
     Reason.NAMED_TWICE: DRIVER,
-    Reason.MISSING_JOINT: NAMES,
+    Reason.MISSING_JOINT: (
+        f"{NAMES}; hold a joint that the driver does not report, as that of a gripper, by `locked_joints`"
+    ),
     Reason.SEVERAL_NAMES: "make the entries of `joint_map` fit each joint once",
     Reason.OTHER_ARM: (
         "give the robot file of this arm by `--robot`; if these are joints beside it, name them in `ignored_joints`"
