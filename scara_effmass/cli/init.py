@@ -36,7 +36,7 @@ UNASKED |= {"armature", "drives", "person_direction", "accept_assumptions", "loc
 UNASKED |= {"moving_mass"}
 """Options that few cells need."""
 SHOWN = ["robot", "joint_map", "joint_names", "contact_points", "payload_mass", "payload_com", "payload_inertia"]
-SHOWN += ["tool_links", "armature"]
+SHOWN += ["tool_links", "armature", "locked_joints"]
 """Parameters of the monitor that change the markers."""
 
 
