@@ -12,6 +12,7 @@ from scara_effmass.errors import EffmassError, RobotError, SettingsError
 from scara_effmass.input_files import MAX_TEXT_BYTES, MAX_YAML_BYTES, read_text, read_yaml
 from scara_effmass.model.load import load_robot
 from scara_effmass.settings import DaqSettings, MonitorSettings, load_settings
+from scara_effmass.settings.loading import applies
 from scara_effmass.share import share
 
 OMRON = share("config", "omron_i4_550l.yaml").read_text(encoding="utf-8")
@@ -267,3 +268,50 @@ def test_list_may_be_empty_and_a_number_may_have_an_exponent(folder: Path) -> No
     path = folder / "types.yaml"
     path.write_text("/**:\n  ros__parameters: {body_regions: [], timeout: 1e-1}\n", encoding="utf-8")
     assert load_settings(MonitorSettings, path, "monitor").timeout == 0.1
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "/cell/monitor:\n  ros__parameters: {timeout: 0.1}\n",
+        "/cell:\n  monitor:\n    ros__parameters: {timeout: 0.1}\n",
+        "/**/monitor:\n  ros__parameters: {timeout: 0.1}\n/cell/daq:\n  ros__parameters: {timeout: 5}\n",
+    ],
+    ids=["ros2 param dump", "levels", "any namespace"],
+)
+def test_parameters_of_a_node_in_a_namespace_count(folder: Path, text: str) -> None:
+    path = folder / "cell.yaml"
+    path.write_text(text, encoding="utf-8")
+    assert load_settings(MonitorSettings, path, "monitor") == MonitorSettings(timeout=0.1)
+
+
+def test_parameters_of_the_node_in_several_namespaces_are_refused(folder: Path) -> None:
+    path = folder / "cells.yaml"
+    section = "/{}/monitor:\n  ros__parameters: {{timeout: {}}}\n"
+    path.write_text(section.format("a", 0.1) + section.format("b", 0.2), encoding="utf-8")
+    with pytest.raises(
+        SettingsError, match=r"holds /a/monitor, /b/monitor: must hold monitor once, or in /\*\*"
+    ) as error:
+        load_settings(MonitorSettings, path, "monitor")
+    one_line(error.value, path)
+
+
+@pytest.mark.parametrize(
+    ("section", "root", "cell"),
+    [
+        ("monitor", True, False),
+        ("/monitor", True, False),
+        ("cell/monitor", False, True),
+        ("/cell/monitor", False, True),
+        ("/other/monitor", False, False),
+        ("/**/monitor", True, True),
+        ("/*/monitor", False, True),
+        ("/cell/*", False, True),
+        ("/cell/**/monitor", False, True),
+        ("/**", True, True),
+        ("/**/daq", False, False),
+    ],
+)
+def test_section_applies_as_in_ros(section: str, *, root: bool, cell: bool) -> None:
+    """As rclpy 7 gave the parameters to two nodes."""
+    assert (applies(section, "/monitor"), applies(section, "/cell/monitor")) == (root, cell)

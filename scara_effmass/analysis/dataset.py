@@ -64,7 +64,10 @@ class BagTask:
 
 @dataclass(slots=True)
 class BagResult:
-    """Result of one recording; can be pickled. `series` by contact point and `force` are for the report."""
+    """Result of one recording; can be pickled. `series` by contact point and `force` are for the report.
+
+    `unmodelled` are joints that moved, but are not in the model.
+    """
 
     summary: Summary
     counts: dict[str, int]
@@ -73,6 +76,7 @@ class BagResult:
     generated: bool = False
     force: RecordedForce | None = None
     series: Mapping[str, TimeSeries] = field(default_factory=dict)
+    unmodelled: tuple[str, ...] = ()
 
 
 def assess_bag(
@@ -114,6 +118,7 @@ def assess_bag(
             written.result()
         counts = {"joint_states": count + monitor.ignored, "foreign": monitor.ignored, "refused": monitor.rejected}
         result = BagResult(summary, counts, (), list(skew.lines(settings, task.time)))
+        result.unmodelled = monitor.unmodelled_joints
         if task.report:
             builds = (builder.build() for builder in series)
             result.series = dict(zip(dynamics.contact_points, builds, strict=True))
@@ -135,6 +140,7 @@ class Record(NamedTuple):
     losses: tuple[str, ...]
     notes: list[tuple[str, str]]
     part_hash: str
+    unmodelled: tuple[str, ...] = ()
 
 
 _RECORD = TypeAdapter(Record, config={"ser_json_inf_nan": "constants"})
@@ -184,7 +190,8 @@ def assess_part(
             is_as_written = _hash_of(earlier) == record.part_hash
             if is_as_written and not task.cross_check:
                 advance(1, 1)
-                return BagResult(record.summary, record.counts, record.losses, record.notes)
+                known = record.summary, record.counts, record.losses, record.notes
+                return BagResult(*known, unmodelled=record.unmodelled)
             if not is_as_written:
                 notes.append(("assessed again", f"{earlier}: was damaged or changed since it was written"))
     with open_bag(path) as bag:
@@ -193,7 +200,8 @@ def assess_part(
     origin = provenance(task.settings, dynamics.robot.origin, [path])
     with open_writer(folder / part, origin, dynamics.robot.base_frame, overwrite=True) as table:
         result = assess_bag(path, task, dynamics, table, advance)
-    record = Record(key, part, result.summary, result.counts, result.losses, result.notes, _hash_of(folder / part))
+    known = result.summary, result.counts, result.losses, result.notes
+    record = Record(key, part, *known, _hash_of(folder / part), result.unmodelled)
     with atomic_file(file, overwrite=True) as unfinished:
         unfinished.write_bytes(_RECORD.dump_json(record))
     result.notes = [*result.notes, *notes]

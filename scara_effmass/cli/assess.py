@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """`scara-effmass assess`."""
 
+from __future__ import annotations
+
 import argparse
 import json
 import sys
@@ -10,16 +12,17 @@ from functools import partial
 from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from scara_effmass.analysis.assessment import Time, input_lines
 from scara_effmass.analysis.dataset import BagResult, BagTask, assess_bag, assess_part, cell_of, remove_unfinished
-from scara_effmass.analysis.summary import Summary
+from scara_effmass.analysis.summary import MAX_UNKNOWN_SHARE, Summary
 from scara_effmass.analysis.tables import open_writer, provenance
 from scara_effmass.bags.files import bag_bytes, find_bags
 from scara_effmass.cli.console import print_result
-from scara_effmass.cli.options import load_dynamics, monitor_settings
+from scara_effmass.cli.options import load_dynamics, monitor_settings, robot_line
 from scara_effmass.cli.tasks import SMALL_BYTES, Advance, Run, open_run, sound
+from scara_effmass.codes import Reason
 from scara_effmass.errors import CrossCheckError, EffmassError, SettingsError
 from scara_effmass.model.robot import Robot
 from scara_effmass.reference import RobotDynamics
@@ -27,6 +30,9 @@ from scara_effmass.safety import Monitor
 from scara_effmass.safety.assumptions import assumptions_of, scope
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.url import Url
+
+if TYPE_CHECKING:
+    from scara_effmass.analysis.run_report import RunReport
 
 
 def run(args: argparse.Namespace) -> int:
@@ -66,18 +72,11 @@ def assess(
     task = BagTask(settings, Time(args.time), args.topic, args.velocity_bag, bool(args.report), args.cross_check)
     summary = Summary(round(settings.timeout * 1e9))
     counts = dict.fromkeys(("joint_states", "foreign", "refused"), 0)
-    losses: list[str] = []
-    unreadable: list[str] = []
+    losses, unreadable, unmodelled = list[str](), list[str](), list[str]()
     input_notes = _input_notes(settings, task.time, args.velocity_bag, len(paths))
     if not args.output.suffix and (args.report or args.properties):
         raise SettingsError(f"--report, --properties: must be left out for a dataset, {args.output}")
-    report = None
-    if args.report:
-        from scara_effmass.analysis.report import PageOptions  # noqa: PLC0415 - loads jinja2
-        from scara_effmass.analysis.run_report import RunReport  # noqa: PLC0415 - loads matplotlib
-
-        figures, page = len(paths) * len(dynamics.contact_points), PageOptions(args.language, args.pdf)
-        report = RunReport(args.report, figures, settings, page, overwrite=args.force)
+    report = _open_report(args, settings, len(paths) * len(dynamics.contact_points)) if args.report else None
     with ExitStack() as stack:
         origin = provenance(settings, robot.origin, paths) | {"input": json.dumps(input_notes)}
         stack.callback(remove_unfinished, args.output, paths)
@@ -93,22 +92,17 @@ def assess(
             summary.merge(result.summary)
             counts = {name: count + result.counts[name] for name, count in counts.items()}
             losses += result.losses
+            unmodelled += [joint for joint in result.unmodelled if joint not in unmodelled]
             input_notes += [note for note in result.notes if note not in input_notes]
             if report:
                 for point, series in result.series.items():
                     title = f"{robot.name}: {name or path.name}"
                     report.add(series, point, title, generated=result.generated, forces=result.force)
         notes, results = supplement(counts)
-        lines = [*notes, *_lines(counts, input_notes, summary, robot, settings, losses, unreadable)]
+        lines = [*notes, *_lines(counts, input_notes, summary, robot, settings, losses, unreadable, unmodelled)]
         printed = {"output": str(args.output), **results, **counts, **summary.as_dict()}
-        printed |= {
-            "scope": scope(robot, settings),
-            "assumptions": assumptions_of(robot, settings).as_dict(),
-            "losses": losses,
-            "robot_notes": list(robot.notes),
-            "unreadable": unreadable,
-            "input": input_notes,
-        }
+        printed |= _described(robot, settings)
+        printed |= {"unmodelled_joints": unmodelled, "losses": losses, "unreadable": unreadable, "input": input_notes}
         if report:
             others = f" + {len(paths) - 1}" if len(paths) > 1 else ""
             printed = report.write(f"{robot.name}: {name or paths[0].name}{others}", lines, printed, paths)
@@ -116,8 +110,9 @@ def assess(
     lines += [("property", str(check)) for check in checks]
     printed["properties"] = [check._asdict() for check in checks]
     written = [("written", args.output), *([("open", args.report / "report.html")] if report else [])]
-    code = 1 if unreadable or summary.only_unknown or any(check.violations for check in checks) else 0
-    return Assessment(printed, [*lines, *written], code)
+    is_bad = unreadable or summary.only_unknown or any(check.violations for check in checks)
+    is_bad = is_bad or _share_beyond_limits(summary, settings) > 0.0
+    return Assessment(printed, [*lines, *written], int(bool(is_bad)))
 
 
 def _assess_part(
@@ -194,6 +189,33 @@ def _input_notes(
     return list(input_lines(settings, time, velocity_bag))
 
 
+def _open_report(args: argparse.Namespace, settings: MonitorSettings, figures: int) -> RunReport:
+    """Return the report with this number of figures. Raises OutputError for existing files."""
+    from scara_effmass.analysis.report import PageOptions  # noqa: PLC0415 - loads jinja2
+    from scara_effmass.analysis.run_report import RunReport  # noqa: PLC0415 - loads matplotlib
+
+    page = PageOptions(args.language, args.pdf)
+    return RunReport(args.report, figures, settings, page, overwrite=args.force)
+
+
+def _described(robot: Robot, settings: MonitorSettings) -> dict[str, Any]:
+    """Return robot, scope and assumptions of an assessment, for JSON."""
+    return {
+        "robot": {"name": robot.name, "file": robot.origin, "is_default": not settings.robot},
+        "robot_notes": list(robot.notes),
+        "ignored_joints": list(settings.ignored_joints),
+        "scope": scope(robot, settings),
+        "assumptions": assumptions_of(robot, settings).as_dict(),
+    }
+
+
+def _share_beyond_limits(summary: Summary, settings: MonitorSettings) -> float:
+    """Return the share of joint states beyond the limits of the default robot; 0 for a stated one, or up to a few."""
+    beyond = sum(n for text, n in summary.reasons.items() if summary.codes[text] is Reason.POSITION_LIMIT)
+    share = beyond / (summary.cycles.total() or 1)
+    return 0.0 if settings.robot or share <= MAX_UNKNOWN_SHARE else share
+
+
 def _lines(
     counts: Mapping[str, int],
     input_notes: Sequence[tuple[str, str]],
@@ -202,7 +224,9 @@ def _lines(
     settings: MonitorSettings,
     losses: Sequence[str],
     unreadable: Sequence[str],
+    unmodelled: Sequence[str],
 ) -> Iterator[tuple[str, str]]:
+    yield robot_line(robot, settings)
     foreign = f", {counts['foreign']} of other devices ignored" if counts["foreign"] else ""
     yield "joint states", f"{counts['joint_states']}{foreign}"
     yield from input_notes
@@ -210,10 +234,15 @@ def _lines(
     if summary.only_unknown:
         problem = "every joint state is UNKNOWN: the reasons say why; `scara-effmass doctor` checks the robot"
         yield "no verdict", problem if counts["joint_states"] else "there was no joint state to read"
+    if unmodelled:
+        yield "not modelled", f"{', '.join(unmodelled)}: these joints moved, but are not in the model"
+    if share := _share_beyond_limits(summary, settings):
+        hint = f"joint states of another arm than {robot.name}? Give its robot file by --robot"
+        yield "another arm", f"{share:.0%} of the positions lie outside the limits: {hint}"
     if counts["refused"]:
         yield "rejected", f"{counts['refused']} joint states (UNKNOWN)"
     if robot.rotors.warning:
-        yield "robot", robot.rotors.warning
+        yield "rotors", robot.rotors.warning
     yield "an OK covers", scope(robot, settings)
     for _, text in assumptions_of(robot, settings).lines:
         yield "assumed", text

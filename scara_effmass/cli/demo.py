@@ -189,7 +189,7 @@ def _run_bag(args: argparse.Namespace, dynamics: RobotDynamics, settings: Monito
         topics = [topic, *payload_topics(bag, settings.payload_topic)]
         topics += [topic.name for topic in bag.topics if topic.type == RUN_INFO]
         force_topic = next((topic.name for topic in bag.topics if topic.type == FORCE_BLOCK), "")
-        introduction = list(_bag_introduction(bag, topic, dynamics, settings, args))
+        introduction = list(_bag_introduction(bag, topic, settings, args))
     check_output_files(args.out, [TABLE, PART], overwrite=args.force)
     page = PageOptions(args.language, args.pdf)
     RunReport(args.out, len(dynamics.contact_points), settings, page, overwrite=args.force)  # refuses existing files
@@ -243,7 +243,7 @@ def _part(args: argparse.Namespace, topics: list[str]) -> Path:
 
 
 def _bag_introduction(
-    bag: Bag, topic: str, dynamics: RobotDynamics, settings: MonitorSettings, args: argparse.Namespace
+    bag: Bag, topic: str, settings: MonitorSettings, args: argparse.Namespace
 ) -> Iterator[tuple[str, str]]:
     note = generated_description(bag)
     duration_s = min(bag.duration_ns / 1e9, args.duration)
@@ -251,7 +251,6 @@ def _bag_introduction(
     yield "motion", f"generated, no real robot: {note}" if note else "as recorded"
     yield "live", "the monitor node computes all verdicts now, from that motion"
     yield "not measured", "masses and permissible forces come from the robot's model and ISO/TS 15066"
-    yield "robot", f"{dynamics.robot.name}, {dynamics.robot.origin}"
     yield "mass model", settings.effective_mass_model.value
 
 

@@ -215,6 +215,9 @@ def _robot(dynamics: RobotDynamics) -> Iterator[CheckResult]:
         yield CheckResult("ok", "payload", robot.payload_text)
     else:
         yield CheckResult("note", "payload", "0 kg: the last link must include the tool and its load")
+    if held := [joint.name for joint in robot.held if not joint.is_harmless]:
+        text = f"UNKNOWN while one of these moves, which the model holds fixed: {', '.join(held)}"
+        yield CheckResult("note", "motion", f"{text}: ignored_joints states the harmless ones")
     for name, text in _home_masses(dynamics):
         yield CheckResult("ok", f"home pose, {name}", text)
     warning = robot.rotors.warning

@@ -20,10 +20,11 @@ from scara_effmass.analysis.summary import Summary
 from scara_effmass.bags.files import open_bag
 from scara_effmass.cli.console import print_lines, progress_bar
 from scara_effmass.cli.doctor import cell_results
-from scara_effmass.cli.options import Option, monitor_settings, options_of
+from scara_effmass.cli.options import Option, monitor_settings, options_of, robot_line
 from scara_effmass.codes import Assumption
 from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.iso15066 import BODY_REGIONS
+from scara_effmass.model.urdf import CHAIN_NOTES
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.safety.assumptions import Assumptions, assumptions_of, name_of
@@ -37,7 +38,7 @@ UNASKED |= {"contact_damping", "contact_friction"}
 UNASKED |= {"locked_joints", "ignored_joints", "moving_mass"}
 """Options that few cells need."""
 SHOWN = ["robot", "joint_map", "joint_names", "contact_points", "payload_mass", "payload_com", "payload_inertia"]
-SHOWN += ["tool_links", "armature"]
+SHOWN += ["tool_links", "armature", "locked_joints"]
 """Parameters of the monitor that change the markers."""
 
 
@@ -49,7 +50,8 @@ def run(args: argparse.Namespace) -> int:
     if sys.stdin.isatty():
         settings, dynamics = _interview(args, settings, dynamics)
     settings, assumptions = _stated(settings, dynamics)
-    lines = [("robot", dynamics.robot.origin), ("contact points", ", ".join(dynamics.contact_points))]
+    lines = [robot_line(dynamics.robot, settings), ("contact points", ", ".join(dynamics.contact_points))]
+    lines += [("", note) for note in dynamics.robot.notes if note.startswith(CHAIN_NOTES)]
     unknown = False
     notes = [
         "Parameters of a cell, for nodes and commands: --params FILE, launch argument params_file.",

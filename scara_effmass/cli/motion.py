@@ -20,7 +20,7 @@ from scara_effmass.analysis.report import figure_files, report_figure, write_rep
 from scara_effmass.analysis.tables import provenance
 from scara_effmass.bags.files import bag_bytes, find_bags, open_bag
 from scara_effmass.cli.console import print_result, progress_bar, tracked
-from scara_effmass.cli.options import load_dynamics, monitor_settings, require_no_payload_topic
+from scara_effmass.cli.options import load_dynamics, monitor_settings, require_no_payload_topic, robot_line
 from scara_effmass.cli.tasks import SMALL_BYTES, Advance, open_run, sound
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.safety import Monitor
@@ -81,7 +81,8 @@ def _advise(args: argparse.Namespace) -> int:
         note = f"generated: the motion of {args.bag}, re-timed by advise; no robot moved so"
         info = RunInfo(stamp_ns=states[0].stamp_ns, simulated=True, note=note)
         write_recording(args.output / BAG, info, advice.states, (), overwrite=args.force)
-    lines = [("joint states", f"{len(states)}, {unknown} of them UNKNOWN"), ("segments", len(rows))]
+    lines = [robot_line(dynamics.robot, settings)]
+    lines += [("joint states", f"{len(states)}, {unknown} of them UNKNOWN"), ("segments", len(rows))]
     lines += [("no speed", f"from {row['start_s']:.3f} s: {row['decides']}") for row in missing[:10]]
     ends = "no advised motion: some segments have no speed" if missing else f"{after.sum():.2f} s"
     lines += [("cycle time", f"{before.sum():.2f} s recorded, {ends}")]
@@ -120,7 +121,8 @@ def _coverage(args: argparse.Namespace) -> int:
     text = json.dumps({**result, "coverage": coverage.model_dump(mode="json")}, allow_nan=False)
     figure = report_figure(COVERAGE, f"Coverage of {coverage.robot}", "", coverage.figure())
     write_report_files(args.output, {COUNTS: f"{text}\n"}, [figure], overwrite=args.force)
-    lines = [("recordings", len(coverage.recordings)), ("joint states", f"{coverage.joint_states} valid ones")]
+    lines = [robot_line(dynamics.robot, settings), ("recordings", len(coverage.recordings))]
+    lines += [("joint states", f"{coverage.joint_states} valid ones")]
     lines += [(name, f"{share:.1%} of its bins") for name, share in shares.items() if isinstance(share, float)]
     lines += [(name, f"fastest from {speed:g} m/s on") for name, speed in shares["fastest_bin_from_m_s"].items()]
     lines += [("not counted", error) for error in unreadable]

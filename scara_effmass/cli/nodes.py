@@ -24,7 +24,8 @@ def run(args: argparse.Namespace) -> int:
     name, ros_arguments, params = options.pop("command"), options.pop("ros_arguments"), options.pop("params", None)
     node = import_module(f"scara_effmass.nodes.{name}_node")
     if params:
-        load_settings(node.NodeSettings, params, name)  # one error line; ROS would print ten
+        # One error line, where ROS would print ten; the node knows its namespace.
+        load_settings(node.NodeSettings, params, name, of_one_cell=False)
     if verbose:
         options["status_period"] = 1.0
     level = ["--ros-args", "--log-level", "warn", "--"] if quiet else []

@@ -27,6 +27,7 @@ from scara_effmass.settings.loading import Settings, flat_fields, number_rule
 from scara_effmass.url import location
 
 if TYPE_CHECKING:
+    from scara_effmass.model.robot import Robot
     from scara_effmass.reference import RobotDynamics
 
 
@@ -176,6 +177,12 @@ def load_dynamics(settings: MonitorSettings) -> RobotDynamics:
     from scara_effmass.reference import RobotDynamics  # noqa: PLC0415 - loads Pinocchio
 
     return RobotDynamics(load_robot(settings.robot_path, settings))
+
+
+def robot_line(robot: Robot, settings: MonitorSettings) -> tuple[str, str]:
+    """Return subject and text of the line of a summary that names `robot` and its file, and whether it was chosen."""
+    default = "" if settings.robot else ", the default: give --robot for another one"
+    return "robot", f"{robot.name} ({robot.origin}){default}"
 
 
 def require_no_payload_topic(settings: MonitorSettings, purpose: str) -> None:

@@ -25,7 +25,13 @@ from scara_effmass.analysis.report import PAGE, PageOptions
 from scara_effmass.analysis.workspace_map import AS_SAMPLED, Plane, sample_workspace
 from scara_effmass.bags.files import open_bag
 from scara_effmass.cli.console import print_json, print_result, progress_bar, tracked
-from scara_effmass.cli.options import load_dynamics, monitor_settings, override, require_no_payload_topic
+from scara_effmass.cli.options import (
+    load_dynamics,
+    monitor_settings,
+    override,
+    require_no_payload_topic,
+    robot_line,
+)
 from scara_effmass.cli.validate import validated, validation_settings
 from scara_effmass.errors import RobotError, SettingsError
 from scara_effmass.reference import RobotDynamics
@@ -64,7 +70,8 @@ def _init(args: argparse.Namespace) -> int:
     protocol = plan.protocol(dynamics.robot.name)
     with atomic_file(args.output, overwrite=args.force) as path:
         path.write_text(protocol_yaml(protocol), encoding="utf-8")
-    lines = [("test", f"{test.id}: {test.note}") for test in protocol.tests if test.note]
+    lines = [robot_line(dynamics.robot, settings)]
+    lines += [("test", f"{test.id}: {test.note}") for test in protocol.tests if test.note]
     lines += [("left out", f"{plan.unknown} contacts that are UNKNOWN")] if plan.unknown else []
     lines += [("left out", f"{plan.at_rest} contacts at rest")] if plan.at_rest else []
     # The recordings come first: argparse would take --test for the end of them.

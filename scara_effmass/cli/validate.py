@@ -19,7 +19,7 @@ from scara_effmass.analysis.validation import (
 from scara_effmass.analysis.validation_report import FILES, summary_lines, write_report
 from scara_effmass.bags.files import bag_bytes, find_bags
 from scara_effmass.cli.console import print_result
-from scara_effmass.cli.options import load_dynamics, override, selected
+from scara_effmass.cli.options import load_dynamics, override, robot_line, selected
 from scara_effmass.cli.tasks import SMALL_BYTES, Advance, open_run, sound
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.impacts.validator import Validator
@@ -38,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
     check_output_files(args.output, [*FILES, *page.files()], overwrite=args.force)
     validation = validated(args, settings)
     result = write_report(validation, settings, dynamics.robot, args.output, page, overwrite=args.force)
-    notes = list(input_lines(settings.monitor, settings.time))
+    notes = [robot_line(dynamics.robot, settings.monitor), *input_lines(settings.monitor, settings.time)]
     lines = [*summary_lines(validation), *notes, ("written", args.output / PAGE)]
     print_result({**result, "output": str(args.output)}, lines, as_json=args.json)
     return 0 if validation.result.accepted and not validation.result.exceedances else NOT_ACCEPTED

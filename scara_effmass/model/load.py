@@ -83,14 +83,10 @@ def build_robot(stated: RobotDescription, settings: MonitorSettings) -> Robot:
     if settings.moving_mass:
         _replace_masses(model, settings.moving_mass + tool_mass + stated.payload_mass)
         check = InertialCheck("", "moving_mass is stated, so ISO's mass counts", "", ())
-        missing, mass_notes = [], []
     else:
-        check = check_inertials(links)
-        missing, mass_notes = _massless(model)
-    load_notes = [*mass_notes, *_add_payload(model, stated, settings)]
+        check = _with_massless(check_inertials(links), model)
+    load_notes = _add_payload(model, stated, settings)
     masses_reason = check.masses
-    if missing:
-        masses_reason = f"no mass behind {', '.join(missing)}: the robot is heavier than the file says"
     source = f"topic {settings.payload_topic}" if settings.payload_topic else "parameter payload_mass"
     payload = {
         "robot file": stated.payload_mass,
@@ -120,8 +116,8 @@ def build_robot(stated: RobotDescription, settings: MonitorSettings) -> Robot:
     robot = replace(robot, reach=judged.reach, units_reason=judged.units, notes=(*robot.notes, *judged.notes))
     if not judged.masses or robot.masses_reason:
         return robot
-    reasons = dict.fromkeys(("masses_reason", "coms_reason", "inertias_reason"), judged.masses)
-    return replace(robot, **reasons)
+    reason = judged.masses
+    return replace(robot, masses_reason=reason, coms_reason=reason, inertias_reason=reason)
 
 
 def _replace_masses(model: pin.Model, mass: float) -> None:
@@ -131,12 +127,12 @@ def _replace_masses(model: pin.Model, mass: float) -> None:
     model.effortLimit = np.zeros(model.nv)
 
 
-def _massless(model: pin.Model) -> tuple[list[str], list[str]]:
-    """Return the joints of `model` whose links lack a mass, and notes on links that only join two joints.
+def _with_massless(check: InertialCheck, model: pin.Model) -> InertialCheck:
+    """Return `check` with the links of `model` that lack a mass, and a note on links that only join two joints.
 
     Those are short, such as between the axes of a base that moves in x, y and yaw, and have mass beyond them.
     """
-    missing, virtual = [], []
+    missing, virtual = list[str](), list[str]()
     for joint in range(1, model.njoints):
         if model.inertias[joint].mass > 0.0:
             continue
@@ -148,8 +144,12 @@ def _massless(model: pin.Model) -> tuple[list[str], list[str]]:
         beyond = sum(model.inertias[int(body)].mass for body in model.subtrees[joint])
         is_virtual = beyond > 0.0 and max(lengths, default=math.inf) <= MAX_VIRTUAL_M
         (virtual if is_virtual else missing).append(model.names[joint])
-    notes = [f"links without mass, which only join two joints: behind {', '.join(virtual)}"] if virtual else []
-    return missing, notes
+    if virtual:
+        note = f"links without mass, which only join two joints: behind {', '.join(virtual)}"
+        check = check._replace(notes=(note, *check.notes))
+    if missing:
+        check = check._replace(masses=f"no mass behind {', '.join(missing)}: the robot is heavier than the file says")
+    return check
 
 
 def _add_contact_frames(model: pin.Model, stated: RobotDescription) -> dict[str, int]:

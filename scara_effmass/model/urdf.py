@@ -34,6 +34,13 @@ from scara_effmass.model.description import (
 from scara_effmass.settings import MonitorSettings
 
 MOVING = ("revolute", "continuous", "prismatic")
+CHAIN_NOTES = (
+    "contact point ",
+    "chains of as many joints ",
+    "held fixed in the model: ",
+    "the arm ends at its gripper",
+)
+"""Starts of the notes on which joints the model moves, and why."""
 MAX_JOINTS = 500
 """Largest number of joints in a file, fixed ones included; the time to check them grows with its square."""
 _MAX_NUMBER = 1e6

@@ -18,12 +18,14 @@ from scara_effmass.errors import SettingsError
 from scara_effmass.settings.loading import (
     FrozenSettings,
     Settings,
+    applies,
     check_types,
     checked,
     fixed,
     flat_fields,
     is_foreign,
     nearest,
+    owner_of,
     parameter_sections,
 )
 
@@ -48,6 +50,7 @@ def declare(node: Node, settings: type[Settings]) -> Settings:
     Raises SettingsError for an unknown parameter and for a value of the wrong type or range. Those that are stated for
     all nodes and resemble none of this one are ignored with a warning.
     """
+    _require_own_sections(node)
     # A private attribute, because automatically_declare_parameters_from_overrides raises on an empty list.
     overrides: dict[str, Parameter] = node._parameter_overrides  # noqa: SLF001
     fields = flat_fields(settings)
@@ -89,9 +92,21 @@ def _shared_names(node: str) -> set[str]:
             owner, _, name = value.partition(":=")[0].rpartition(":")
             (own if owner else shared).add(name)
         elif option == "--params-file":
-            for owner, parameters in parameter_sections(Path(value), node):
-                (shared if owner == "**" else own).update(parameters)
+            for name, parameters in parameter_sections(Path(value), node):
+                (shared if owner_of(name) == "**" else own).update(parameters)
     return shared - own
+
+
+def _require_own_sections(node: Node) -> None:
+    """Raise SettingsError for a parameter file that is for `node` in another namespace: ROS would not apply it."""
+    own = node.get_fully_qualified_name()
+    for option, path in pairwise(ARGUMENTS.get()):
+        if option != "--params-file":
+            continue
+        sections = [name for name, _ in parameter_sections(Path(path), node.get_name()) if owner_of(name) != "**"]
+        if sections and not any(applies(name, own) for name in sections):
+            hint = f"must be {own} or /**/{node.get_name()}, or start the node with -r __ns:=NAMESPACE"
+            raise SettingsError(f"{path}: {', '.join(sections)}: {hint}")
 
 
 def from_ros(parameter: Parameter) -> Any:  # noqa: ANN401 - the settings model checks the type

@@ -18,8 +18,8 @@ EARLY = (
 CONNECTION = "check the driver and the topic; raise `timeout` above the period of the joint states"
 NAMES = "give the robot's names by `joint_map`, those of joint states without names by `joint_names`"
 PARTIAL = (
-    "let one node publish all joints of the robot in one joint state; make one that no driver reports fixed in the "
-    "robot file; if only the names differ, give the robot's by `joint_map`"
+    "let one node publish all joints of the robot in one joint state; hold one that no driver reports, as that of a "
+    "gripper, by `locked_joints`; if only the names differ, give the robot's by `joint_map`"
 )
 VELOCITY = "give a driver's velocities; without any, set `--velocity from-positions` (`velocity_source`)"
 COMMANDS = "publish the controller's commands on joint_commands, or set `command_tolerance` to 0"

@@ -4,7 +4,7 @@
 import math
 import re
 import reprlib
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from enum import Enum
 from pathlib import Path
@@ -138,16 +138,23 @@ def nearest(name: str, names: Iterable[str]) -> str:
     return f"must be {' or '.join(get_close_matches(name, names, n=1)) or ', '.join(names) or 'absent'}"
 
 
-def load_settings(kind: type[Settings], path: Path, node: str, other_nodes: Collection[str] = ()) -> Settings:
+def load_settings(
+    kind: type[Settings], path: Path, node: str, other_nodes: Collection[str] = (), *, of_one_cell: bool = True
+) -> Settings:
     """Return the settings of `node` ("monitor") in the ROS parameter file at `path`.
 
-    The file contains `/**`, `node` or `/**/node` over `ros__parameters`, as written by `ros2 param dump`. Parameters of
-    other nodes are ignored; a file that is only for `other_nodes` gives the defaults. Raises SettingsError.
+    The file contains `/**`, `node`, or `node` in a namespace, over `ros__parameters`, as written by `ros2 param dump`.
+    Parameters of other nodes are ignored; a file that is only for `other_nodes` gives the defaults. Raises
+    SettingsError, also `of_one_cell` for a file with the node in several namespaces.
     """
     parameters: dict[str, Any] = {}
-    for owner, stated in parameter_sections(path, node, other_nodes):
+    sections = parameter_sections(path, node, other_nodes)
+    cells = [name for name, _ in sections if "*" not in name]
+    if of_one_cell and len(cells) > 1:
+        raise SettingsError(f"{path}: holds {', '.join(cells)}: must hold {node} once, or in /**")
+    for name, stated in sections:
         foreign = {key for key in stated if key in NODE_ONLY - kind.model_fields.keys()}
-        foreign |= {key for key in stated if owner == "**" and is_foreign(key, kind)}
+        foreign |= {key for key in stated if owner_of(name) == "**" and is_foreign(key, kind)}
         parameters |= {key: value for key, value in stated.items() if key not in foreign}
     check_types(kind, parameters, str(path))
     return checked(kind, parameters, str(path))
@@ -156,21 +163,47 @@ def load_settings(kind: type[Settings], path: Path, node: str, other_nodes: Coll
 def parameter_sections(
     path: Path, node: str, other_nodes: Collection[str] | None = None
 ) -> list[tuple[str, dict[str, Any]]]:
-    """Return owner (** or `node`) and parameters, by flat name, of the sections that apply to `node`.
+    """Return name, such as /cell/monitor, and parameters, by flat name, of the sections for `node`, wherever it is.
 
     Raises SettingsError, also if there is none, unless the file is for one of `other_nodes` (None: any node).
     """
     document = read_yaml(path, SettingsError)
     if not isinstance(document, dict) or not document:
         raise SettingsError(f"{path}: must hold {node} (or /**) over ros__parameters")
-    owners = {name: str(name).rpartition("/")[2] for name in document}
-    sections = [(name, owner) for name, owner in owners.items() if owner in {"**", node}]
-    if not sections and other_nodes is not None and not set(other_nodes).intersection(owners.values()):
+    found = dict(_sections(document))
+    sections = [name for name in found if owner_of(name) in {"**", node}]
+    if not sections and other_nodes is not None and not set(other_nodes).intersection(map(owner_of, found)):
         raise SettingsError(f"{path}: holds {', '.join(map(str, document))}: must hold {node} (or /**)")
-    for name, _ in sections:
-        if not isinstance(document[name], dict) or not isinstance(document[name].get("ros__parameters"), dict):
+    for name in sections:
+        if not isinstance(found[name], dict) or not isinstance(found[name].get("ros__parameters"), dict):
             raise SettingsError(f"{path}: {name}: must hold ros__parameters")
-    return [(owner, _flat(document[name]["ros__parameters"])) for name, owner in sections]
+    return [(name, _flat(found[name]["ros__parameters"])) for name in sections]
+
+
+def _sections(document: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the sections of a parameter file by name; namespaces may be levels of the file or parts of a name."""
+    for name, content in document.items():
+        if isinstance(content, dict) and "ros__parameters" not in content and _holds_sections(content):
+            yield from _sections(content, f"{prefix}{name}/")
+        else:
+            yield f"{prefix}{name}", content
+
+
+def _holds_sections(content: Mapping[str, Any]) -> bool:
+    groups = [value for value in content.values() if isinstance(value, dict)]
+    return any("ros__parameters" in group or _holds_sections(group) for group in groups)
+
+
+def owner_of(section: str) -> str:
+    """Return the node, or **, of a `section` such as /cell/monitor."""
+    return str(section).rpartition("/")[2]
+
+
+def applies(section: str, node: str) -> bool:
+    """Return whether ROS gives a `section` to the `node` with this name and namespace, such as /cell/monitor."""
+    parts = {"**": "(?:/[^/]+)*", "*": "/[^/]+"}
+    pattern = "".join(parts.get(part, f"/{re.escape(part)}") for part in str(section).strip("/").split("/"))
+    return re.fullmatch(pattern, node) is not None
 
 
 def is_foreign(name: str, kind: type[BaseModel]) -> bool:

@@ -13,6 +13,7 @@ from pyarrow import parquet
 
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
+from scara_effmass.share import share
 from scara_effmass.values import JointState
 from scara_effmass.wire.joint_state import joint_state_message
 from test.cli.conftest import START_NS, Cli, Refused
@@ -90,7 +91,7 @@ def test_odd_recording_is_assessed_as_the_plain_one_and_the_output_says_how(
 ) -> None:
     done = cli("assess", changed_bag("odd.mcap", change), "-o", tmp_path / "odd.parquet", *options)
     assert done.returncode == 0
-    assert done.stdout.splitlines()[1 : 1 + len(notes)] == notes
+    assert done.stdout.splitlines()[2 : 2 + len(notes)] == notes
     rows = rows_of(tmp_path / "odd.parquet")
     skew_ns = rows[0]["stamp_ns"] - plain[0]["stamp_ns"]
     assert [row | {"stamp_ns": row["stamp_ns"] - skew_ns} for row in rows] == plain
@@ -186,4 +187,64 @@ def test_joint_limits_by_option(swing_bag: Path, cli: Cli, refused: Refused, tmp
     done = cli(*words, "joint1=-0.1 0.1,joint2=-3 3")
     assert "joint limits    by joint_limits: joint1=-0.1 0.1, joint2=-3 3" in done.stdout
     assert "lies outside its limits -0.12 to 0.12" in done.stdout
+    again = cli(*words, "joint1=-0.1 0.1", "--joint-limits", "joint2=-3 3", "--force")
+    assert again.stdout == done.stdout
     assert "joint_limits = 'jiont1': must be joint1" in refused(*words, "jiont1=-1 1", "--force")
+
+
+def widened(state: JointState, names: tuple[str, ...], position: float, velocity: float) -> JointState:
+    """Return `state` with further joints."""
+    return state._replace(
+        names=(*state.names, *names),
+        position=np.append(state.position, [position] * len(names)),
+        velocity=np.append(state.velocity, [velocity] * len(names)),
+    )
+
+
+def test_summary_names_the_robot_and_its_file(swing_bag: Path, cli: Cli, tmp_path: Path) -> None:
+    robot = share("config", "omron_i4_550l.yaml")
+    default, stated = (
+        cli("assess", swing_bag, "-o", tmp_path / "a.csv", "--force", *o) for o in ((), ("--robot", robot))
+    )
+    assert default.stdout.startswith(
+        f"robot           omron_i4_550l ({robot}), the default: give --robot for another one\n"
+    )
+    assert stated.stdout.startswith(f"robot           omron_i4_550l ({robot})\n")
+    result = json.loads(cli("assess", swing_bag, "-o", tmp_path / "b.csv", "--json").stdout)
+    assert result["robot"] == {"name": "omron_i4_550l", "file": str(robot), "is_default": True}
+
+
+def test_more_joints_of_the_same_names_are_another_arm(changed_bag: MakeBag, cli: Cli, tmp_path: Path) -> None:
+    bag = changed_bag("six", lambda state: widened(state, ("joint5", "joint6"), 0.0, 0.0))
+    done = cli("assess", bag, "-o", tmp_path / "a.csv")
+    assert done.returncode == 1
+    assert (
+        "UNKNOWN because joint states of another arm than omron_i4_550l, which has no joint5, joint6 (1000"
+        in done.stdout
+    )
+    assert "remedy          give the robot file of this arm by `--robot`" in done.stdout
+
+
+def test_positions_beyond_the_limits_of_the_default_are_another_arm(
+    changed_bag: MakeBag, cli: Cli, tmp_path: Path
+) -> None:
+    bag = changed_bag("other", lambda state: state._replace(position=state.position - [0.0, 0.0, 0.225, 0.0]))
+    done = cli("assess", bag, "-o", tmp_path / "a.csv")
+    assert done.returncode == 1
+    (line,) = (line for line in done.stdout.splitlines() if line.startswith("another arm"))
+    assert "lie outside the limits: joint states of another arm than omron_i4_550l?" in line
+    stated = cli("assess", bag, "-o", tmp_path / "b.csv", "--robot", share("config", "omron_i4_550l.yaml"))
+    assert "another arm" not in stated.stdout
+
+
+def test_joint_outside_the_model_is_named_or_ignored(changed_bag: MakeBag, cli: Cli, tmp_path: Path) -> None:
+    bag = changed_bag("rail", lambda state: widened(state, ("rail", "lift"), 0.0, 0.4))
+    done = cli("assess", bag, "-o", tmp_path / "a.csv")
+    assert "UNKNOWN because joint rail moves, but is not in the model (1000 cycles)" in done.stdout
+    assert "not modelled    rail, lift: these joints moved, but are not in the model" in done.stdout
+    result = json.loads(cli("assess", bag, "-o", tmp_path / "b.csv", "--json", "--ignored-joints", "ra*,lift").stdout)
+    assert (result["ignored_joints"], result["unmodelled_joints"]) == (["ra*", "lift"], [])
+    assert result["scope"].endswith("; motion does not count of ra*, lift")
+    assert result["cycles_by_verdict"]["UNKNOWN"] < 100
+    dataset = [json.loads(cli("assess", bag, "-o", tmp_path / "data", "--json").stdout) for _ in range(2)]
+    assert [result["unmodelled_joints"] for result in dataset] == [["rail", "lift"]] * 2

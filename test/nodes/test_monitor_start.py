@@ -19,9 +19,10 @@ PARAMS = "/**:\n  ros__parameters:\n    {}\n"
 @pytest.fixture
 def paths(tmp_path: Path) -> dict[str, Path]:
     """Return the paths of a missing file, one with a misspelt parameter, and one that is not valid YAML."""
-    files = {name: tmp_path / f"{name}.yaml" for name in ("missing", "typo", "broken")}
+    files = {name: tmp_path / f"{name}.yaml" for name in ("missing", "typo", "broken", "cell")}
     files["typo"].write_text(PARAMS.format("time_out: 1.0"), encoding="utf-8")
     files["broken"].write_text("/**: [1\n", encoding="utf-8")
+    files["cell"].write_text(PARAMS.format("timeout: 1.0").replace("/**", "/cell/monitor"), encoding="utf-8")
     return files
 
 
@@ -32,6 +33,12 @@ def paths(tmp_path: Path) -> dict[str, Path]:
         ("--ros-args -p payload:=5.0", "monitor: no parameter 'payload': must be payload_"),
         ("--ros-args -p monitor:nonsense:=1", "monitor: no parameter 'nonsense': must be robot,"),
         ("--ros-args -p robot:={missing}", "{missing}: cannot be read: No such file or directory"),
+        (
+            "--ros-args --params-file {cell}",
+            "{cell}: /cell/monitor: must be /monitor or /**/monitor, or start the node",
+        ),
+        ("--ros-args -r __ns:=/other --params-file {cell}", "{cell}: /cell/monitor: must be /other/monitor or /**/"),
+        ("--ros-args -r __ns:=/cell --params-file {cell} -p latch:=1", "monitor: latch = 1: must be BOOL"),
         ("--ros-args --params-file {missing}", "ROS arguments: "),
         ("--ros-args --params-file {broken}", "ROS arguments: "),
         ("--ros-args -p timeout=0.1", "-p timeout=0.1: must be NAME:=VALUE: write timeout:=0.1"),
