@@ -125,6 +125,12 @@ class MonitoredArm:
         normal = velocity if plate == "velocity" else rng.normal(size=3)
         return np.asarray(normal * (np.sign(normal @ velocity) / np.linalg.norm(normal)))
 
+    def monitor(self, settings: MonitorSettings) -> Monitor:
+        """Return a monitor of this robot with `settings`."""
+        if len(self._monitors) >= MAX_MONITORS:
+            self._monitors.clear()
+        return self._monitors.get(settings) or self._monitors.setdefault(settings, Monitor(self.dynamics, settings))
+
     def allowed(
         self,
         q: FloatArray,
@@ -138,9 +144,7 @@ class MonitoredArm:
         The joints accelerate with `qdd` (n,), None for not at all. None if a joint would exceed its speed limit, or if
         the monitor has no verdict.
         """
-        if len(self._monitors) >= MAX_MONITORS:
-            self._monitors.clear()
-        monitor = self._monitors.get(settings) or self._monitors.setdefault(settings, Monitor(self.dynamics, settings))
+        monitor = self.monitor(settings)
 
         def margin(scale: float) -> float:
             """Return allowed minus actual speed [m/s]; NaN without a verdict."""
@@ -225,6 +229,28 @@ def contacts(
     return np.array(results)
 
 
+def force_parts(
+    arm: MonitoredArm, count: int, rng: np.random.Generator, servo: ServoSettings, **settings: object
+) -> FloatArray:
+    """Return (count, 4) [N] of contacts of the chest at the speed that the defaults allow with a `servo`.
+
+    The simulated peak, and what is added by the bound of the servo and the change of pose, by `mass_uncertainty`, and
+    by the tolerances of the velocities; the sum is the limit.
+    """
+    values = {"effective_mass_model": "full", "body_regions": ("chest",), "servo": servo, **settings}
+    defaults = MonitorSettings.model_validate(values)
+    margins = {name: value for name, value in NO_MARGINS.items() if name != "drives"}
+    kinds = {**values, **margins}, {**values, **margins, "mass_uncertainty": defaults.mass_uncertainty}, values
+    (limit,), parts = limits_for(defaults), []
+    while len(parts) < count:
+        q, qd, _ = draw(arm, rng, defaults)
+        peak = arm.sim.touch(q, qd, arm.plate_normal("worst", q, qd, limit, rng, servo), limit, servo).force
+        monitors = [arm.monitor(MonitorSettings.model_validate(kind)) for kind in kinds]
+        bounds = [float(m.assess_configurations(q[None], qd[None]).contacts[0, 0]["force_bound"]) for m in monitors]
+        parts.append(np.diff([0.0, peak, *bounds]))
+    return np.array(parts)
+
+
 def clamping_force(arm: MonitoredArm, q: FloatArray, direction: FloatArray) -> float:
     """Return the largest F [N] with |g + J^T n F| <= tau_max, by linear programming; g and J by MuJoCo."""
     effort, gravity = arm.dynamics.robot.effort_limits, arm.sim.gravity(q)
@@ -284,6 +310,15 @@ def main() -> None:
                     servo = ServoSettings(bandwidth=bandwidth, computed_torque=True)
                     labels = (name, f"{bandwidth:g} Hz", region, drives)
                     row(table, labels, arm, region, count, pushing=servo, drives=drives, servo=servo)
+    console.print(table)
+    console.print("## Parts of the bound at the allowed speed, chest, servo of 5 Hz: medians [N]")
+    table = Table("arm", "servo", "limit", "simulated", "servo and pose", "mass", "velocity", box=box.MARKDOWN)
+    for name, arm in arms.items():
+        for is_coupled, label in ((False, "a controller per joint"), (True, "computed torque")):
+            servo = ServoSettings(computed_torque=is_coupled)
+            parts = force_parts(arm, count, np.random.default_rng(args.seed), servo)
+            medians = (f"{part:.0f}" for part in np.median(parts, axis=0))
+            table.add_row(name, label, f"{np.median(parts.sum(axis=1)):.0f}", *medians)
     console.print(table)
     ur5, forces = arms["UR5"], []
     for _ in range(args.poses):

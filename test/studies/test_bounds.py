@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from scara_effmass.iso15066 import limits_for
 from scara_effmass.iso15066.contact import amplification
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings, ServoSettings
@@ -142,6 +143,16 @@ def test_clamping_by_a_servo_that_stops_stays_within_its_bound(
         assert ratio.max() < 1.0
         ratio, _ = bounds.contacts(arm, region, 6, rng, pushing=servo, plate="velocity", **options).T
         assert 0.1 < ratio.max() < 1.0
+
+
+def test_parts_of_the_bound_add_up_to_the_limit(scara: MonitoredArm) -> None:
+    servo = ServoSettings(computed_torque=True)
+    parts = bounds.force_parts(scara, 4, np.random.default_rng(2), servo)
+    (limit,) = limits_for(MonitorSettings(body_regions=("chest",)))
+    np.testing.assert_allclose(parts.sum(axis=1), limit.permissible_force_n, rtol=1e-6)
+    assert (parts > 0.0).all()
+    exact = bounds.force_parts(scara, 4, np.random.default_rng(2), servo, **{**bounds.NO_MARGINS, "drives": "servo"})
+    np.testing.assert_allclose(exact[:, 2:], 0.0, atol=1e-6)
 
 
 def test_immovable_bounds_every_servo(scara: MonitoredArm) -> None:
