@@ -235,7 +235,7 @@ def force_parts(
     """Return (count, 4) [N] of contacts of the chest at the speed that the defaults allow with a `servo`.
 
     The simulated peak, and what is added by the bound of the servo and the change of pose, by `mass_uncertainty`, and
-    by the tolerances of the velocities; the sum is the limit.
+    by the tolerances of the velocities; the sum is the limit, or the force at which a joint saturates.
     """
     values = {"effective_mass_model": "full", "body_regions": ("chest",), "servo": servo, **settings}
     defaults = MonitorSettings.model_validate(values)
@@ -262,6 +262,18 @@ def clamping_force(arm: MonitoredArm, q: FloatArray, direction: FloatArray) -> f
         bounds=[(None, None)],
     )
     return max(float(solution.x[0]), 0.0)
+
+
+def parts_table(arms: Mapping[str, MonitoredArm], count: int, seed: int) -> Table:
+    """Return the table of `force_parts`, of `count` contacts each."""
+    table = Table("arm", "servo", "limit", "simulated", "servo and pose", "mass", "velocity", box=box.MARKDOWN)
+    for name, arm in arms.items():
+        for is_coupled, label in ((False, "a controller per joint"), (True, "computed torque")):
+            servo = ServoSettings(computed_torque=is_coupled)
+            parts = force_parts(arm, count, np.random.default_rng(seed), servo)
+            medians = (f"{part:.0f}" for part in np.median(parts, axis=0))
+            table.add_row(name, label, f"{np.median(parts.sum(axis=1)):.0f}", *medians)
+    return table
 
 
 def main() -> None:
@@ -312,14 +324,7 @@ def main() -> None:
                     row(table, labels, arm, region, count, pushing=servo, drives=drives, servo=servo)
     console.print(table)
     console.print("## Parts of the bound at the allowed speed, chest, servo of 5 Hz: medians [N]")
-    table = Table("arm", "servo", "limit", "simulated", "servo and pose", "mass", "velocity", box=box.MARKDOWN)
-    for name, arm in arms.items():
-        for is_coupled, label in ((False, "a controller per joint"), (True, "computed torque")):
-            servo = ServoSettings(computed_torque=is_coupled)
-            parts = force_parts(arm, count, np.random.default_rng(args.seed), servo)
-            medians = (f"{part:.0f}" for part in np.median(parts, axis=0))
-            table.add_row(name, label, f"{np.median(parts.sum(axis=1)):.0f}", *medians)
-    console.print(table)
+    console.print(parts_table(arms, count, args.seed))
     ur5, forces = arms["UR5"], []
     for _ in range(args.poses):
         q, qd, _ = draw(ur5, rng, settings_for())
