@@ -114,6 +114,7 @@ def nodes(context: LaunchContext) -> list[Node]:
         actions.append(_node("visualization_node", arguments, model))
     if arguments["speed_scaling"]:
         actions.append(_node("speed_scaling_node", arguments, {}))
+        actions.append(_node("speed_scaling_node", arguments, {"standby": True}, name="speed_scaling_standby"))
     return [*actions, *_commands(arguments)]
 
 
@@ -141,7 +142,11 @@ def end_launch(event: ProcessExited, context: LaunchContext) -> None:
 
 
 def _node(
-    executable: str, arguments: dict[str, str], own: dict[str, str | bool], command: list[str] | None = None
+    executable: str,
+    arguments: dict[str, str],
+    own: dict[str, str | bool],
+    command: list[str] | None = None,
+    name: str | None = None,
 ) -> Node:
     parameters: list[str | dict[str, str | bool]] = []
     if arguments["use_sim_time"]:  # else the parent's SetParameter("use_sim_time", ...) holds
@@ -153,6 +158,7 @@ def _node(
     return Node(
         package="scara_effmass",
         executable=executable,
+        name=name,
         namespace=arguments["namespace"],
         parameters=[*parameters, *([own] if own else [])],
         arguments=[*(command or []), "--ros-args", "--log-level", arguments["log_level"]],

@@ -38,7 +38,6 @@ from rclpy.parameter import Parameter
 from rclpy.qos import (
     QoSCompatibility,
     QoSPolicyKind,
-    QoSProfile,
     qos_check_compatible,
     qos_policy_name_from_kind,
 )
@@ -103,8 +102,8 @@ class LifecycleBase(LifecycleNode):
         self.active = False
         self.stopping = threading.Event()
         """Set by a signal that ends the process, so that a transition can stop waiting."""
-        self._mismatches: dict[str, Callable[[], bool]] = {}
-        """Whether each line of `incompatible_qos` still holds."""
+        self._mismatches: dict[str, str] = {}
+        """The topic of each line of `incompatible_qos`."""
         self.fixed_parameters: Sequence[str] = ()
         """Parameters that can change only while the node is unconfigured."""
         self._is_starting = False
@@ -165,17 +164,12 @@ class LifecycleBase(LifecycleNode):
 
     def create_owned_publisher(self, message_type: type, topic: str, qos: Qos) -> LifecyclePublisher:
         """Return a publisher whose QoS parameters may override."""
-
-        def has_mismatch() -> bool:
-            others = self.get_subscriptions_info_by_topic(publisher.topic_name)
-            return any(not _fit(publisher.qos_profile, other.qos_profile) for other in others)
-
         publisher: LifecyclePublisher = self.create_lifecycle_publisher(
             message_type,
             topic,
             qos_profile(qos),
             event_callbacks=PublisherEventCallbacks(
-                incompatible_qos=partial(self._on_incompatible, f"a subscriber of {topic}", has_mismatch)
+                incompatible_qos=partial(self._on_incompatible, f"a subscriber of {topic}", topic)
             ),
             qos_overriding_options=QoSOverridingOptions(_PUBLISHER_OVERRIDES),
         )
@@ -207,10 +201,6 @@ class LifecycleBase(LifecycleNode):
             if matched is not None:
                 matched(info)
 
-        def has_mismatch() -> bool:
-            others = self.get_publishers_info_by_topic(subscription.topic_name)
-            return any(not _fit(other.qos_profile, subscription.qos_profile) for other in others)
-
         subscription = self.create_subscription(
             message_type,
             topic,
@@ -218,7 +208,7 @@ class LifecycleBase(LifecycleNode):
             qos_profile(qos),
             raw=raw,
             event_callbacks=SubscriptionEventCallbacks(
-                incompatible_qos=partial(self._on_incompatible, f"a publisher of {topic}", has_mismatch),
+                incompatible_qos=partial(self._on_incompatible, f"a publisher of {topic}", topic),
                 matched=on_matched,
                 **events,
             ),
@@ -348,14 +338,24 @@ class LifecycleBase(LifecycleNode):
     @property
     def incompatible_qos(self) -> set[str]:
         """One line for each kind of endpoint that cannot be connected now, and its QoS policy that does not fit."""
-        self._mismatches = {line: persists for line, persists in self._mismatches.items() if persists()}
+        self._mismatches = {line: topic for line, topic in self._mismatches.items() if self._has_mismatch(topic)}
         return set(self._mismatches)
 
-    def _on_incompatible(
-        self, endpoint: str, has_mismatch: Callable[[], bool], event: QoSRequestedIncompatibleQoSInfo
-    ) -> None:
+    def _has_mismatch(self, topic: str) -> bool:
+        """Return whether an endpoint of this node does not fit another one of the topic."""
+        name = self.resolve_topic_name(topic)
+        publishers, subscribers = self.get_publishers_info_by_topic(name), self.get_subscriptions_info_by_topic(name)
+        own = self.get_namespace(), self.get_name()
+        return any(
+            qos_check_compatible(publisher.qos_profile, subscriber.qos_profile)[0] == QoSCompatibility.ERROR
+            for publisher in publishers
+            for subscriber in subscribers
+            if own in {(end.node_namespace, end.node_name) for end in (publisher, subscriber)}
+        )
+
+    def _on_incompatible(self, endpoint: str, topic: str, event: QoSRequestedIncompatibleQoSInfo) -> None:
         line = f"{endpoint} cannot be connected: its {qos_policy_name_from_kind(event.last_policy_kind)} does not fit"
-        self._mismatches[line] = has_mismatch
+        self._mismatches[line] = topic
         self.get_logger().warning(line)
 
     def _on_change_state(self, request: ChangeState.Request, response: ChangeState.Response) -> ChangeState.Response:
@@ -370,11 +370,6 @@ class LifecycleBase(LifecycleNode):
             self.get_logger().error(str(self._transition_error))
             self._transition_error = None
         return response
-
-
-def _fit(publisher: QoSProfile, subscriber: QoSProfile) -> bool:
-    compatibility, _ = qos_check_compatible(publisher, subscriber)
-    return compatibility is not QoSCompatibility.ERROR
 
 
 def with_info(callback: Callable[[bytes, dict[str, Any]], None]) -> Callable[..., None]:

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """`speed_scaling_node`: slow a trajectory controller down to the allowable speed, and stop it without a valid verdict.
 
-It runs in a process of its own: when the monitor ends, it still sends 0.
+It runs in a process of its own: when the monitor ends, it still sends 0. A second one with `standby` sends 0 when the
+first one is silent.
 """
 
+import math
 import threading
 import time
 from collections.abc import Sequence
@@ -28,6 +30,8 @@ from scara_effmass.wire import topics
 from scara_effmass.wire.contact_states import decode_contact_states
 
 _ACK_TIMEOUT = Duration(seconds=0.5)
+_STANDBY_FACTOR = -0.0
+"""A zero by which the node on standby tells its own messages from those of the other one."""
 
 
 class Output(str, Enum):
@@ -55,6 +59,9 @@ class NodeSettings(NodeParameters):
     speed_ratio: float = fixed(0.95, "share of the allowable speed to use", gt=0.0, le=1.0)
     rise_rate: float = fixed(1.0, "largest increase of the factor [1/s]; it falls at once", gt=0.0, le=100.0)
     rate: float = fixed(50.0, "heartbeat: messages per second, besides those that lower the factor", ge=1.0, le=1000.0)
+    standby: bool = fixed(
+        default=False, description="send nothing but 0, and only while no other node has sent a factor for `timeout`"
+    )
     output: Output = fixed(
         Output.FACTOR,
         "factor (control_msgs/SpeedScalingFactor) or percent (std_msgs/Float64, for a node of your own: no controller, "
@@ -84,17 +91,23 @@ class SpeedScalingNode(LifecycleBase):
         self._type, self._field, self._unit = _MESSAGES[settings.output]
         qos = topics.Qos(1, latched=True, deadline_s=2.0 / settings.rate)
         self._publisher = self.create_owned_publisher(self._type, topics.SPEED_SCALING_INPUT, qos)
+        if settings.standby:
+            self.create_owned_subscription(self._type, topics.SPEED_SCALING_INPUT, self._on_factor, topics.Qos(10))
+        else:
+            self._subscribe_to_contact_states()
+        self._diagnostics = Diagnostics(self, self._statuses, settings.status_period)
+        self.create_steady_timer(1.0 / settings.rate, self._publish)
+
+    def _subscribe_to_contact_states(self) -> None:
         self.create_owned_subscription(
             ContactStates,
             topics.CONTACT_STATES,
             self._on_contact_states,
-            topics.verdict_qos(settings.timeout),
+            topics.verdict_qos(self._settings.timeout),
             raw=True,
             deadline=lambda _: self._stop("deadline of contact_states missed"),
             liveliness=self._on_liveliness,
         )
-        self._diagnostics = Diagnostics(self, self._statuses, settings.status_period)
-        self.create_steady_timer(1.0 / settings.rate, self._publish)
 
     def activate(self) -> None:
         """Start at 0."""
@@ -102,6 +115,7 @@ class SpeedScalingNode(LifecycleBase):
         self._scaler = SpeedScaler(round(settings.timeout * 1e9), time.monotonic_ns())
         self._scaler.latency_ns = round(settings.latency * 1e9)
         self._scaler.rise_rate, self._scaler.speed_ratio = settings.rise_rate, settings.speed_ratio
+        self._heard_ns = time.monotonic_ns()
         self._publishing = True
 
     def deactivate(self) -> None:
@@ -113,8 +127,9 @@ class SpeedScalingNode(LifecycleBase):
         with self._lock:
             if not self._publishing or not self.context.ok():
                 return
-            self._scaler.stop(plain_text(reason, detail=detail))
-            self._send()
+            if not self._settings.standby:  # whose end must not stop the robot
+                self._scaler.stop(plain_text(reason, detail=detail))
+                self._send()
             self._publishing = False
         self._publisher.wait_for_all_acked(_ACK_TIMEOUT)
 
@@ -148,15 +163,31 @@ class SpeedScalingNode(LifecycleBase):
                 self._scaler.stop(reason)
                 self._send()
 
+    def _on_factor(self, message: SpeedScalingFactor | Float64) -> None:
+        if not _is_of_standby(getattr(message, self._field)):
+            self._heard_ns = time.monotonic_ns()
+
     def _publish(self) -> None:
         with self._lock:
-            if self._publishing:
+            if self._publishing and self._settings.standby:
+                self._stand_in()
+            elif self._publishing:
                 self._send()
+
+    def _stand_in(self) -> None:
+        """Send 0 while no other node sends a factor."""
+        silence_ns = time.monotonic_ns() - self._heard_ns
+        is_silent = silence_ns > 1e9 * self._settings.timeout
+        if is_silent:
+            self._publisher.publish(self._type(**{self._field: _STANDBY_FACTOR}))
+        self._note(f"no factor of another node for {silence_ns / 1e9:.1f} s" if is_silent else "")
 
     def _send(self) -> None:
         self._factor = self._scaler.factor(time.monotonic_ns())
         self._publisher.publish(self._type(**{self._field: self._unit * self._factor}))
-        reason = self._scaler.reason
+        self._note(self._scaler.reason)
+
+    def _note(self, reason: str) -> None:
         if reason and not self._reason:
             self._stops, self._unreported = self._stops + 1, reason
         self._reason = reason
@@ -165,7 +196,7 @@ class SpeedScalingNode(LifecycleBase):
         with self._lock:
             reason, unreported, self._unreported = self._reason, self._unreported, ""
             disobedience = self._scaler.disobedience if self._publishing else ""
-        controllers = self._publisher.get_subscription_count()
+        controllers = self._count_controllers()
         problem = disobedience or (f"stopped: {reason}" if reason else "")
         if not problem and unreported:
             problem = f"was stopped for a moment: {unreported}"
@@ -179,7 +210,18 @@ class SpeedScalingNode(LifecycleBase):
             "stops": self._stops,
             "lost contact states": self._lost,
         }
-        return [status("speed scaling", "scaling", values, problem=problem)]
+        return [status("speed scaling", "standby" if self._settings.standby else "scaling", values, problem=problem)]
+
+    def _count_controllers(self) -> int:
+        """Return the number of subscribers of the factor; a node that also sends it is on standby."""
+        topic = self._publisher.topic_name
+        senders = {(info.node_namespace, info.node_name) for info in self.get_publishers_info_by_topic(topic)}
+        subscribers = self.get_subscriptions_info_by_topic(topic)
+        return sum((info.node_namespace, info.node_name) not in senders for info in subscribers)
+
+
+def _is_of_standby(factor: float) -> bool:
+    return math.copysign(1.0, factor) < 0.0
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -265,3 +265,33 @@ def test_status_warns_of_stops_and_of_a_controller_that_does_not_obey_in_few_lin
     node.diagnostics.clear()
     send(age="for a moment")
     node.spin_until(lambda: told("for a moment"), repeat=send)
+
+
+@pytest.mark.parametrize("fault", ["SIGSTOP", "SIGKILL"])
+def test_node_on_standby_sends_0_while_the_other_one_hangs(cell: Start, tmp_path: Path, fault: str) -> None:
+    monitor, node, factors = cell(*FAST)
+    standby = NodeHarness(monitor.domain, tmp_path, "speed_scaling_standby")
+    standby.node.create_subscription(DiagnosticArray, "/diagnostics", standby.diagnostics.append, DEEP_QOS)
+    with closing(standby):
+        name = ("-r", "__node:=speed_scaling_standby")
+        standby.start("--ros-args", *name, "-p", "timeout:=0.5", "-p", "standby:=true", command=(str(NODE),))
+        rises_to_1(monitor, node, factors)
+        standby.diagnostic("speed_scaling_standby: speed scaling", "controllers", lambda value: value == "1")
+        received = len(factors)
+        node.spin_until(lambda: len(factors) > received + 100, repeat=lambda: monitor.send(joint_state()))
+        assert standby.process is not None
+        assert node.process is not None
+        node.process_may_end = True
+        os.kill(node.process.pid, getattr(signal, fault))
+        node.spin_until(lambda: factors[-1] == 0.0, repeat=lambda: monitor.send(joint_state()))
+        text = standby.diagnostic("speed_scaling_standby: speed scaling", "stops", lambda value: value != "0")
+        assert "no factor of another node for" in text
+        if fault == "SIGSTOP":
+            os.kill(node.process.pid, signal.SIGCONT)
+            rises_to_1(monitor, node, factors)
+            standby.process_may_end = True
+            standby.process.terminate()
+            assert standby.process.wait(TIMEOUT_S) == 0
+            received = len(factors)
+            node.spin_until(lambda: len(factors) > received + 20, repeat=lambda: monitor.send(joint_state()))
+            assert 0.0 not in factors[received:]

@@ -138,6 +138,9 @@ def test_speed_scaling_is_sent_to_the_topic_of_the_controller(launch_file: dict[
     nodes = named(launch_file["nodes"](context(launch_file, speed_scaling="/arm/speed_scaling_input")))
     topic = "joint_trajectory_controller/speed_scaling_input"
     assert nodes["speed_scaling_node"].remappings == [(topic, "/arm/speed_scaling_input")]
+    both = launch_file["nodes"](context(launch_file, speed_scaling="/arm/speed_scaling_input"))[1:]
+    assert [stated(node).get("standby", False) for node in both] == [False, True]
+    assert both[0].remappings == both[1].remappings
     assert nodes["monitor_node"].remappings == []
 
 
@@ -155,6 +158,7 @@ def command_of(node: Any, folder: Path, number: int) -> list[str]:  # noqa: ANN4
     """Return the command line that launch_ros makes of `node`: parameters of a dict become a file for all nodes."""
     words = [str(Path(sys.prefix, "lib", node.package, node.executable)), *node.arguments]
     words += ["--ros-args", "-r", f"__ns:=/{node.namespace}"]
+    words += ["-r", f"__node:={node.name}"] if node.name else []
     for index, item in enumerate(node.parameters):
         path = item
         if isinstance(item, dict):
