@@ -279,7 +279,9 @@ class TestFixedJoints:
 
     def test_contact_point_on_the_base_raises(self) -> None:
         for points in (("base",), ("tip", "base")):
-            with pytest.raises(RobotError, match=r"scara\.urdf: contact_points = 'base': must not be fixed to the base"):
+            with pytest.raises(
+                RobotError, match=r"scara\.urdf: contact_points = 'base': must not be fixed to the base"
+            ):
                 parse(contact_points=points)
 
     def test_all_joints_locked_raises(self) -> None:
