@@ -134,8 +134,8 @@ def _interview(
 def _value(option: Option, text: str) -> Any:  # noqa: ANN401 - as argparse
     """Return the answer `text` as argparse would; several values are separated by commas, numbers by spaces."""
     kind, nargs, repeated = (option.keywords.get(key) for key in ("type", "nargs", "action"))
-    if repeated == "extend":
-        return [word.strip() for word in kind(text)]
+    if repeated == "extend":  # its type splits the words
+        return [word.strip() for word in text.split(",")]
     words = text.split(",") if repeated else text.split() if nargs else [text]
     values = [(kind or str)(word.strip()) for word in words]
     return values if repeated or nargs else values[0]

@@ -121,7 +121,7 @@ def _coverage(args: argparse.Namespace) -> int:
     text = json.dumps({**result, "coverage": coverage.model_dump(mode="json")}, allow_nan=False)
     figure = report_figure(COVERAGE, f"Coverage of {coverage.robot}", "", coverage.figure())
     write_report_files(args.output, {COUNTS: f"{text}\n"}, [figure], overwrite=args.force)
-    lines = [robot_line(dynamics.robot, settings), ("recordings", len(coverage.recordings))]
+    lines = [robot_line(dynamics.robot, settings), ("recordings", str(len(coverage.recordings)))]
     lines += [("joint states", f"{coverage.joint_states} valid ones")]
     lines += [(name, f"{share:.1%} of its bins") for name, share in shares.items() if isinstance(share, float)]
     lines += [(name, f"fastest from {speed:g} m/s on") for name, speed in shares["fastest_bin_from_m_s"].items()]

@@ -389,7 +389,8 @@ class Monitor:
         """Return the assessment of one joint state, as `assess`; None if it is of another device."""
         layout = self._adapter.layout(state.names)
         if layout.is_foreign:
-            return self._ignore(layout, np.array([now_ns]), state.position[None], state.velocity[None])
+            self._ignore(layout, np.array([now_ns]), state.position[None], state.velocity[None])
+            return None
         pending = self._single
         number = NO_SEQUENCE if sequence_number is None else sequence_number
         HEAD.pack_into(pending.states.data, 0, state.stamp_ns, now_ns, number)
@@ -430,7 +431,8 @@ class Monitor:
         """
         layout = self._adapter.layout(names)
         if layout.is_foreign:
-            return self._ignore(layout, clocks, position, velocity)
+            self._ignore(layout, clocks, position, velocity)
+            return None
         pending = self._new_pending(len(stamps))
         records = pending.records
         records["stamp_ns"], records["now_ns"], records["sequence"] = stamps, clocks, NO_SEQUENCE

@@ -12,7 +12,9 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from scara_effmass_msgs.msg import ContactState, ContactStates
 from sensor_msgs.msg import JointState as JointStateMessage
+from std_srvs.srv import Trigger
 
+from scara_effmass.codes import Reason
 from scara_effmass.model.load import load_robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
@@ -167,6 +169,24 @@ def test_joint_states_of_another_device_are_counted_and_ignored(harness: NodeHar
     assert (last.verdict, after.verdict) == (ContactState.OK, ContactState.OK)
     assert [contact.verdict for contact in harness.contact_states] == [ContactState.OK]
     assert harness.diagnostic("input", "of other devices", lambda value: value == "3")
+
+
+def test_joint_that_moves_outside_the_model_gives_unknown(harness: NodeHarness) -> None:
+    """In the joint states of the robot, or in those of another device until it rests."""
+    harness.send_until_ok()
+    moves = "moves, but is not in the model"
+    rail = harness.response_to(joint_state(names=(*JOINTS, "rail"), position=(*Q, 0.0), velocity=(*QD, 1.0)))
+    assert (rail.verdict, rail.reason_code) == (ContactState.UNKNOWN, Reason.UNMODELLED_MOTION)
+    assert (rail.reason, rail.allowable_speed) == (f"joint rail {moves}", 0.0)
+    rests: dict[str, Any] = {"names": (*JOINTS, "rail"), "position": (*Q, 0.0), "velocity": (*QD, 0.0)}
+    assert harness.response_to(joint_state(**rests)).reason == f"joint rail {moves}"  # not yet for 0.1 s
+    while harness.response_to(joint_state(**rests)).verdict != ContactState.OK:
+        pass
+    harness.send(joint_state(names=("swing",), position=(0.0,), velocity=(0.5,)))
+    assert harness.response_to(joint_state()).reason == f"joint swing {moves}"
+    assert harness.diagnostic("input", "moved, but not in the model", lambda value: value == "rail, swing")
+    assert harness.call_service(Trigger, "reset", Trigger.Request()).success
+    harness.send_until_ok()
 
 
 @pytest.mark.parametrize("reliability", [ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE])
