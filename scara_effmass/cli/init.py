@@ -15,10 +15,11 @@ from pydantic import BaseModel
 
 from scara_effmass import __version__
 from scara_effmass.analysis.assessment import assess_joint_states, joint_state_topic
+from scara_effmass.analysis.assumption_worth import POSES, TYPICAL_SPEED, worth_of
 from scara_effmass.analysis.output import atomic_file, check_output_path
 from scara_effmass.analysis.summary import Summary
 from scara_effmass.bags.files import open_bag
-from scara_effmass.cli.console import print_lines, progress_bar
+from scara_effmass.cli.console import print_lines, print_table, progress_bar
 from scara_effmass.cli.doctor import cell_results
 from scara_effmass.cli.options import Option, monitor_settings, options_of, robot_line
 from scara_effmass.codes import Assumption
@@ -68,6 +69,13 @@ def run(args: argparse.Namespace) -> int:
     lines += [("assumed", text) for _, text in assumptions.lines]
     next_step = f"scara-effmass doctor --params {quote(str(args.output))}"
     print_lines([*lines, ("written", args.output), ("next", next_step)])
+    usual, worth = worth_of(settings, dynamics, assumptions)
+    rows = [(*row[:3], "" if row.change is None else f"{row.change:+.3f}") for row in worth]
+    print_table(
+        f"Allowable speed at {TYPICAL_SPEED:g} m/s, mean of {POSES} poses: {usual:.3f} m/s; change with another value:",
+        ("assumption", "is", "with another value", "m/s"),
+        rows,
+    )
     return 1 if unknown else 0
 
 
