@@ -66,6 +66,13 @@ def no_publisher(node: Node, topic: str, type_name: str) -> str:
     return f"no publisher of {name}{heard}"
 
 
+def several_publishers(node: Node, topic: str) -> str:
+    """Return a warning if `topic` has several publishers, whose messages nothing tells apart; else ""."""
+    name = node.resolve_topic_name(topic)
+    count = node.count_publishers(name)
+    return f"{count} publishers of {name}: must be one" if count > 1 else ""
+
+
 def status(
     name: str,
     message: str,

@@ -14,7 +14,7 @@ from scara_effmass.errors import DecodeError, SettingsError
 from scara_effmass.impacts.detector import Detector
 from scara_effmass.impacts.validator import Result, Validator
 from scara_effmass.nodes import parameters
-from scara_effmass.nodes.diagnostics import Diagnostics, no_publisher
+from scara_effmass.nodes.diagnostics import Diagnostics, no_publisher, several_publishers
 from scara_effmass.nodes.lifecycle import LifecycleBase, run
 from scara_effmass.nodes.validator_health import impact_text, series_status
 from scara_effmass.settings import DetectionSettings, ValidatorSettings
@@ -133,7 +133,10 @@ class ValidatorNode(LifecycleBase):
         contact_points, self._contact_points = self._contact_points, set()
         force = (topics.FORCE, "ForceBlock") if self._settings.find_impacts else (topics.IMPACT, "Impact")
         inputs = ((topics.CONTACT_STATES, "ContactStates"), force)
-        unheard = (no_publisher(self, topic, f"scara_effmass_msgs/msg/{kind}") for topic, kind in inputs)
+        unheard = (
+            several_publishers(self, topic) or no_publisher(self, topic, f"scara_effmass_msgs/msg/{kind}")
+            for topic, kind in inputs
+        )
         return [
             series_status(
                 self._validator,

@@ -241,3 +241,15 @@ def test_sigint_ends_with_status_0(node: ValidatorHarness) -> None:
     output, errors = process.communicate()
     assert process.returncode == 0
     assert "Traceback" not in output + errors
+
+
+def test_second_monitor_is_a_warning(node: ValidatorHarness) -> None:
+    other = node.harness.node.create_publisher(ContactStates, "contact_states", DEEP)
+    node.harness.spin_until(
+        lambda: any(
+            status.message == "2 publishers of /contact_states: must be one"
+            for array in node.harness.diagnostics
+            for status in array.status
+        )
+    )
+    node.harness.node.destroy_publisher(other)
