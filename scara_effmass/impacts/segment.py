@@ -361,11 +361,13 @@ def separate(force: FloatArray, valid: BoolArray, threshold: float, gap: int) ->
 
 
 def interpolated_peak(force: FloatArray, index: int) -> float:
-    """Return the vertex of the parabola through the local maximum at `index` and its neighbours [N]."""
+    """Return the vertex [N] of the parabola through `index` and its neighbours; the force there without a maximum."""
     current = float(force[index])
     if index in (0, force.size - 1):
         return current
     previous, following = float(force[index - 1]), float(force[index + 1])
+    if current < max(previous, following):  # the force still rises
+        return current
     curvature = previous - 2.0 * current + following
     return current - (following - previous) ** 2 / (8.0 * curvature) if curvature < 0.0 else current
 

@@ -45,7 +45,9 @@ def test_the_summary_is_short(cli: Cli, refused: Refused, campaign: Path) -> Non
     lines = done.stdout.splitlines()
     assert lines[0].split() == ["result", "accepted"]
     assert "0 of 6 impacts above the limit; largest " in lines[1]
-    assert "6 in the series, 6 of them simulated" in lines[2]
+    assert "converted from a measured peak of " in lines[1]
+    assert "6 in the series, 6 of them simulated; " in lines[2]
+    assert " rebounds of earlier impacts, which count with them" in lines[2]
     subjects = ["lumped", "mass", "full", "mass", "iso", "mass", "clocks", "comparison", "excluded", "robot", "written"]
     assert [line.split()[0] for line in lines[3:]] == subjects
     assert "would have found a mass error of " in lines[4]

@@ -26,6 +26,10 @@ from test.decisions import decision_on
 from test.nodes.conftest import NodeHarness, joint_state
 
 S = 1_000_000_000
+PAIR = (0.0, 0.0)
+SERIES = SeriesStatistics(
+    1, *(0.9, 1e5, 0.0, 1.0), 0, 1.0, PAIR, 1.0, PAIR, 0.1, 0.5, PAIR, 0.0, 0, accepted=True, decidable=True, reason=""
+)
 SIZES = [(80, 24), (120, 40), (200, 50), (50, 24)]
 BLOCKS = 5
 """Rows of a large letter, at least."""
@@ -117,6 +121,11 @@ def test_screen_shows_impact_past_episode_and_simulation() -> None:
     text = " ".join(lines(cell, 6 * S, 120, 40))
     assert "before: VIOLATION until 2 s ago, for 1.00 s: tool: 0.4 m/s is above" in text
     assert "last impact: peak 123.4 N, 2 s ago" in text
+    numbers = (80.0, 123.4, 0.0, 0.5, 0.25, True, "lower_leg", 212.0, 260.0, True, SERIES)
+    cell.take_validation(Validation(S, *numbers, held_force=150.0, held_limit=130.0, held_region="lower_leg"))
+    text = " ".join(lines(cell, 6 * S, 120, 40))
+    assert "predicted 80.0 N; converted 212.0 N on lower_leg, below its limit of 260.0 N;" in text
+    assert "held 150.0 N on lower_leg, ABOVE its limit of 130.0 N" in " ".join(text.split())
     assert "SIMULATED: force" in text
 
 

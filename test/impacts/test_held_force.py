@@ -90,6 +90,15 @@ def test_presses_are_found_also_after_short_pauses(detect: Detect, rate: float) 
 
 
 @rates
+def test_the_peak_of_a_press_that_rises_on_is_that_of_its_first_half_second(detect: Detect, rate: float) -> None:
+    time = time_axis(8.0, rate)
+    force = noise(time) + np.interp(time, [2.0, 2.2, 2.6, 3.0, 3.1], [0.0, 25.0, 32.0, 34.0, 0.0])
+    (impact,) = detect(force, rate).impacts
+    assert impact.peak_force == pytest.approx(30.5, abs=0.6)
+    assert impact.held_force == pytest.approx(34.0, abs=0.6)
+
+
+@rates
 def test_force_that_moves_for_long_is_reported_and_the_rest_counted(detect: Detect, rate: float) -> None:
     time = time_axis(25.0, rate)
     swing = np.where((time > 2.5) & (time < 20.0), 15.0 * np.sin(9.0 * time), 0.0)
@@ -210,3 +219,4 @@ def test_no_force_above_the_threshold_is_in_neither_list(
         inside = force[(time >= begin) & (time <= end)]
         most = max(impact.peak_force, impact.held_force) + impact.baseline
         assert inside.max(initial=0.0) <= most + 6.0 * NOISE + 0.2 * most
+        assert most <= inside.max(initial=0.0) + 6.0 * NOISE + 0.1 * most

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`impacts`: the contacts of a recording without joint states, and what is left out."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from test.cli.conftest import Cli, Refused
+
+CASES = Path(__file__).parents[1] / "recordings" / "contacts"
+CLAMPING = CASES / "impact_then_clamping_50N_2s.csv"
+
+
+def written(path: Path, force: list[float] | np.ndarray) -> Path:
+    rows = (f"{number / 1000.0:.3f},{value:.3f}" for number, value in enumerate(force))
+    path.write_text("\n".join(["Time (s),Force (N)", *rows, ""]), encoding="utf-8")
+    return path
+
+
+def test_contacts_of_files_as_json(cli: Cli) -> None:
+    done = cli("impacts", CLAMPING, CASES / "impact_then_clamping_50N_0.6s.csv", "--json")
+    assert (done.returncode, done.stderr) == (0, "")
+    result = json.loads(done.stdout)
+    assert result["contacts"] == 2
+    for recording, duration in zip(result["recordings"], (2.0, 0.6), strict=True):
+        (contact,) = recording["contacts"]
+        assert contact["time_s"] == pytest.approx(2.0, abs=0.002)
+        assert contact["peak_force_n"] == pytest.approx(158.0, abs=1.0)
+        assert contact["held_force_n"] == pytest.approx(50.0, abs=1.0)
+        assert contact["duration_s"] == pytest.approx(duration, abs=0.01)
+        assert contact["impulse_n_s"] == pytest.approx(50.0 * duration + 2.0, rel=0.05)
+        assert (recording["samples"], recording["lost_samples"], recording["left_out"]) == (6000, 0, [])
+
+
+def test_the_list_has_a_line_for_each_contact_and_for_what_is_left_out(cli: Cli, tmp_path: Path) -> None:
+    force = np.random.default_rng(0).normal(0.0, 0.1, 20_000)
+    force[3_000:3_020] += 120.0 * np.sin(np.pi * np.arange(20) / 20.0)
+    force[6_000] += 90.0
+    force[8_000:] += np.interp(np.arange(12_000), [0, 4_000, 5_000, 11_000], [0.0, 40.0, 40.0, 0.0])
+    done = cli("impacts", written(tmp_path / "force.csv", force))
+    assert done.returncode == 0
+    lines = [" ".join(line.split()) for line in done.stdout.splitlines()]
+    assert "contacts 1" in lines
+    assert any(line.startswith("3.000 120.") and line.endswith(" -") for line in lines)
+    left_out = [line for line in lines if line.startswith("left out ")]
+    assert len(left_out) == 2
+    assert re.match(r"left out 1: single samples \(up to (89.9|90.\d) N\) at 6.000 s", left_out[0])
+    assert re.match(r"left out 1: slow change: drift, or a press that comes and goes slowly \(up to (39|40)", left_out[1])
+
+
+def test_a_wrong_sign_is_said(cli: Cli, tmp_path: Path) -> None:
+    force = np.random.default_rng(0).normal(0.0, 0.1, 8_000)
+    force[3_000:3_020] -= 120.0 * np.sin(np.pi * np.arange(20) / 20.0)
+    path = written(tmp_path / "force.csv", force)
+    assert "see --invert" in cli("impacts", path).stdout
+    (contact,) = json.loads(cli("impacts", path, "--invert", "--json").stdout)["recordings"][0]["contacts"]
+    assert contact["peak_force_n"] == pytest.approx(120.0, abs=1.0)
+
+
+def test_recordings_of_the_nodes_are_read(cli: Cli) -> None:
+    bag = Path(__file__).parents[2] / "bags" / "campaign" / "300_-200_2390g_1"
+    (recording,) = json.loads(cli("impacts", bag, "--json").stdout)["recordings"]
+    assert recording["simulated"]
+    assert [contact["rebound"] for contact in recording["contacts"]] == list(range(len(recording["contacts"])))
+    assert recording["contacts"][0]["peak_force_n"] == pytest.approx(406.0, abs=1.0)
+
+
+def test_the_threshold_is_an_option(cli: Cli, refused: Refused, tmp_path: Path) -> None:
+    force = np.random.default_rng(0).normal(0.0, 0.1, 8_000)
+    force[3_000:3_100] += 3.0 * np.sin(np.pi * np.arange(100) / 100.0)
+    path = written(tmp_path / "force.csv", force)
+    found = [json.loads(cli("impacts", path, "--json", *more).stdout)["contacts"] for more in ((), ("--threshold", 1))]
+    assert found == [0, 1]
+    assert "--threshold: 0: must be a number > 0" in refused("impacts", path, "--threshold", 0)
+    assert "must hold scara_effmass_msgs/msg/ForceBlock" in refused("impacts", CASES.parents[2] / "bags" / "straight_300_200")

@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Peaks are compared with the limits for impacts, what stays with the quasi-static ones, also out of the series."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import pytest
+
+from scara_effmass.impacts.agreement import comparison_text
+from scara_effmass.impacts.impact_matcher import PRESS
+from scara_effmass.impacts.validator import Result, Validator
+from scara_effmass.iso15066 import limits_for
+from scara_effmass.settings import ContactType, MonitorSettings, ValidatorSettings
+from scara_effmass.values import Impact, ValidatedImpact
+
+if TYPE_CHECKING:
+    from test.impacts.validation.conftest import Cell, MakeCell
+
+REGION = "hand_fingers"
+SETTINGS = ValidatorSettings(history=60.0, body_regions=(REGION,))
+TRANSIENT, QUASI_STATIC = (
+    limits_for(MonitorSettings(body_regions=(REGION,), contact=contact))[0].permissible_force_n
+    for contact in (ContactType.TRANSIENT, ContactType.QUASI_STATIC)
+)
+
+
+@pytest.fixture(scope="module")
+def campaign(make_cell: MakeCell) -> Cell:
+    """The paper's twelve cases without noise."""
+    return make_cell()
+
+
+def validated(
+    cell: Cell, change: Callable[[int, Impact], Impact], *, late_ns: int = 0, with_states: bool = True
+) -> tuple[list[ValidatedImpact], Result]:
+    """Validate the impacts of `cell` after the `change`; the first one arrives `late_ns` later."""
+    validator = Validator(SETTINGS)
+    for since_ns, obstacle_mass, configuration in cell.runs:
+        validator.runs.set(since_ns, obstacle_mass=obstacle_mass, configuration=configuration)
+    items = [(at_ns, validator.add_decision, decision) for decision, at_ns in cell.states if with_states]
+    items += [
+        (at_ns + late_ns * (number == 0), validator.add_impact, change(number, impact))
+        for number, (impact, at_ns) in enumerate(cell.impacts)
+    ]
+    found = [one for at_ns, add, value in sorted(items, key=lambda item: item[0]) for one in add(value, at_ns)]
+    return found + validator.finish(), validator.result()
+
+
+def first(**changes: float) -> Callable[[int, Impact], Impact]:
+    return lambda number, impact: impact._replace(**changes) if number == 0 else impact
+
+
+def same(_: int, impact: Impact) -> Impact:
+    return impact
+
+
+def test_without_force_that_stays_nothing_is_compared(campaign: Cell) -> None:
+    impacts, result = validated(campaign, same)
+    assert {(impact.held_force, impact.held_limit, impact.held_region) for impact in impacts} == {(0.0, 0.0, "")}
+    assert (result.held.count, result.held.exceedances) == (0, 0)
+
+
+@pytest.mark.parametrize(("held", "load", "exceeds"), [(0.9, 0.0, False), (1.1, 0.0, True), (0.6, 0.5, True)])
+def test_what_stays_after_an_impact_has_the_quasi_static_limit(
+    campaign: Cell, held: float, load: float, *, exceeds: bool
+) -> None:
+    _, before = validated(campaign, same)
+    change = first(held_force=held * QUASI_STATIC, load_force=load * QUASI_STATIC, duration=0.8)
+    impacts, result = validated(campaign, change, late_ns=800_000_000)
+    impact = next(one for one in impacts if one.held_force)
+    assert impact.held_force == pytest.approx((held + load) * QUASI_STATIC)
+    assert (impact.held_limit, impact.held_region) == (QUASI_STATIC, REGION)
+    assert (result.held.count, result.held.exceedances) == (1, int(exceeds))
+    assert impact.exceeds_limit == (exceeds or impact.region_force > TRANSIENT)
+    assert len(result.impacts) == 12  # the peak is an impact as any other
+    assert result.models[0].fit.mass_scale == pytest.approx(before.models[0].fit.mass_scale)
+    text = comparison_text(impact)
+    assert text.startswith(f"converted {impact.region_force:.1f} N on {REGION}, ")
+    assert f"held {impact.held_force:.1f} N on {REGION}, {'ABOVE' if exceeds else 'below'} its limit of " in text
+
+
+def test_a_load_beneath_a_peak_adds_to_it(campaign: Cell) -> None:
+    plain, _ = validated(campaign, same)
+    loaded, _ = validated(campaign, first(load_force=40.0))
+    by_stamp = {impact.stamp_ns: impact for impact in plain}
+    (changed,) = [one for one in loaded if one.region_force != by_stamp[one.stamp_ns].region_force]
+    assert changed.region_force == pytest.approx(by_stamp[changed.stamp_ns].region_force + 40.0)
+    assert changed.measured_force == by_stamp[changed.stamp_ns].measured_force
+
+
+def test_a_press_is_no_impact_of_the_series_but_is_compared(campaign: Cell) -> None:
+    change = first(held_force=2.0 * QUASI_STATIC, compression_impulse=0.0)
+    impacts, result = validated(campaign, change)
+    assert (len(impacts), result.excluded) == (11, {PRESS: 1})
+    assert (result.held.count, result.held.exceedances, result.held.worst.limit) == (1, 1, QUASI_STATIC)
+    statistics = sum(impact.exceeds_limit for impact in result.impacts)
+    assert result.exceedances == statistics + 1
+
+
+def test_the_first_half_second_of_a_press_has_the_limit_for_impacts(campaign: Cell) -> None:
+    change = first(peak_force=1.5 * TRANSIENT, held_force=0.1 * QUASI_STATIC, compression_impulse=0.0)
+    _, result = validated(campaign, change)
+    assert (result.held.exceedances, result.held.worst.limit) == (1, TRANSIENT)
+    assert result.held.worst.force == pytest.approx(1.5 * TRANSIENT)
+
+
+def test_what_stays_is_compared_without_the_state_of_the_robot(campaign: Cell) -> None:
+    change = first(held_force=2.0 * QUASI_STATIC)
+    impacts, result = validated(campaign, change, with_states=False)
+    assert (impacts, sum(result.unpaired.values())) == ([], 12)
+    assert (result.held.count, result.held.exceedances) == (1, 1)
+    assert result.exceedances == 1
