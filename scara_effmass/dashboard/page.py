@@ -156,9 +156,7 @@ class Page:
             [
                 self._clock(record.at_ns) + " (simulated)" * record.impact.simulated,
                 f"{record.impact.peak_force:.1f} N" + " at least" * (record.impact.clipped or record.impact.incomplete),
-                f"{record.validation.predicted_force:.1f} N"
-                if record.validation
-                else "no diagnostics are received: no node of this cell publishes them",
+                f"{record.validation.predicted_force:.1f} N" if record.validation else "none yet",
                 f"{record.validation.relative_error:+.1%}" if record.validation else "",
                 _region_text(record.validation) if record.validation else "",
             ]
