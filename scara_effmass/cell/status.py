@@ -154,6 +154,23 @@ class CellStatus:
         return [name for name, simulated in (("robot", robot), ("force", any(force))) if simulated]
 
     @property
+    def no_impact_reason(self) -> str:
+        """Why no impact is shown; empty if there is one."""
+        if self.impacts:
+            return ""
+        return "no impact yet" if self._force else "no impact: no force is received, so no daq node runs in this cell"
+
+    @property
+    def no_validation_reason(self) -> str:
+        """Why no impact is compared with its prediction; empty if one is."""
+        if self.validations:
+            return ""
+        return (
+            self.no_impact_reason
+            or "no impact is validated: no validator runs, or it rejects them (see its diagnostics)"
+        )
+
+    @property
     def contacts(self) -> tuple[ContactAssessment, ...]:
         """The contacts of the latest decision."""
         return self.decision.contacts if self.decision is not None else ()

@@ -151,6 +151,7 @@ class Page:
             predicted = round(records[-1].validation.predicted_force, 1)
             traces[1] = [[traces[0][0][0], predicted], [traces[0][-1][0], predicted]]
         _show(self._force, *traces)
+        self._force.set_visibility(bool(traces[0]))
         rows = [
             [
                 self._clock(record.at_ns) + " (simulated)" * record.impact.simulated,
@@ -162,7 +163,7 @@ class Page:
             for record in islice(reversed(records), 4)
         ]
         self._impacts.content = _table(
-            ["impact", "peak", "predicted", "error", "on the body region"], rows, "no impact yet"
+            ["impact", "peak", "predicted", "error", "on the body region"], rows, status.no_impact_reason
         )
         low, safe = (
             [[v.predicted_force, v.measured_force] for v in status.validations if v.conservative is c]
@@ -170,9 +171,12 @@ class Page:
         )
         end = max((force for point in low + safe for force in point), default=0.0)
         _show(self._scatter, low, safe, [[0.0, 0.0], [end, end]] if end else [])
+        self._scatter.set_visibility(bool(status.validations))
         self._series.text = _series_text(status)
         self._diagnostics.content = _table(
-            ["node", "status", "message"], list(_diagnostic_rows(status, now_ns)), "none yet"
+            ["node", "status", "message"],
+            list(_diagnostic_rows(status, now_ns)),
+            "no diagnostics are received: no node of this cell publishes them",
         )
         episodes = [
             [
@@ -184,7 +188,9 @@ class Page:
             ]
             for episode in islice(reversed(status.episodes), 6)
         ]
-        self._episodes.content = _table(["start", "verdict", "duration", "cause"], episodes, "none yet")
+        self._episodes.content = _table(
+            ["start", "verdict", "duration", "cause"], episodes, "none: the verdict has been OK"
+        )
 
     def _clock(self, at_ns: int) -> str:
         return datetime.fromtimestamp(self._client.wall_ns(at_ns) / 1e9).astimezone().strftime("%H:%M:%S")
@@ -261,7 +267,7 @@ def _contact_rows(status: CellStatus) -> tuple[list[str], list[list[str]], str]:
         ["limit", *(f"{contact.body_region.replace('_', ' ')}, {contact.criterion}" for contact in contacts)],
     ]
     headings = ["along the velocity", *(contact.contact_point for contact in contacts)]
-    return headings, rows if contacts else [], "no valid contact state"
+    return headings, rows if contacts else [], "no numbers while the verdict is UNKNOWN"
 
 
 def _region_text(validation: Validation) -> str:
@@ -275,7 +281,7 @@ def _region_text(validation: Validation) -> str:
 
 def _series_text(status: CellStatus) -> str:
     if not status.validations:
-        return "no impact validated yet"
+        return status.no_validation_reason
     last = status.validations[-1].series
     outcome = "accepted" if last.accepted else "not accepted" if last.decidable else "not decidable"
     text = f"{last.count} impacts, correlation {last.correlation:.3f}: {outcome}"

@@ -55,6 +55,17 @@ def validation(stamp_ns: int, count: int) -> Validation:
     return Validation(stamp_ns, *(110.0, 100.0, 0.1, 0.5, 0.25), True, "hand", 90.0, 140.0, False, series)  # noqa: FBT003
 
 
+def test_empty_panels_say_why() -> None:
+    status = CellStatus(0)
+    for reason in (status.no_impact_reason, status.no_validation_reason):
+        assert reason == "no impact: no force is received, so no daq node runs in this cell"
+    status.take_impact(impact(), S)
+    assert status.no_impact_reason == ""
+    assert status.no_validation_reason.startswith("no impact is validated: no validator runs")
+    status.take_validation(validation(10 * S, 1))
+    assert status.no_validation_reason == ""
+
+
 def test_a_cell_without_any_state_is_unknown() -> None:
     status = CellStatus(0)
     status.update(S)
