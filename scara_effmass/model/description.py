@@ -89,7 +89,7 @@ class RobotDescription:
     rotors. `contact_points` are names with the joint that moves each point and its pose in the frame of that joint.
     `tip` is the end of the last link in the last joint's frame. `origin` names the file in errors, `stated` is what the
     file states of the assumptions, and `held` are its joints that the model does not move.
-    `may_end_in_tool`: nobody stated the contact point, and the last joint may be one of a tool, as a jaw.
+    `tool_tip` is the contact point at the end of the longest chain, whose last joint may be one of a tool, as a jaw.
     """
 
     origin: str
@@ -103,7 +103,7 @@ class RobotDescription:
     notes: Sequence[str]
     stated: frozenset[Assumption]
     held: tuple[HeldJoint, ...] = ()
-    may_end_in_tool: bool = False
+    tool_tip: str = ""
 
 
 class ContactPoint(NamedTuple):

@@ -2,10 +2,9 @@
 """A last joint that moves a light end, such as a jaw, counts as locked in the mass matrix: a free one would decide.
 
 The end is light beside the arm, the other joints move its contact point in all directions, and free it is much lighter
-than locked. At a contact point that is stated, the last joint counts as it is: a tool may end beside a wrist's axis.
+than locked. At other contact points the last joint counts as it is: a tool may end beside the axis of a wrist.
 """
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -23,39 +22,28 @@ LOCKING = 10.0
 """Rotor inertia of a locked joint over the largest one that the mass matrix has: 1 % of the mobility remains."""
 
 
-def hold_light_ends(robot: Robot) -> Robot:
-    """Return `robot` with a rotor inertia that locks the joints of light ends, and notes; itself if it has none."""
-    if robot.inertias_reason:
-        return robot
-    ends = list(_light_ends(robot))
-    if not ends:
-        return robot
-    model, matrix, notes = robot.model.copy(), robot.rotors.matrix.copy(), []
-    data = model.createData()
-    largest = max(float(np.diag(robot.mass_matrix(model, data, q)).max()) for q in robot.sample_configurations())
-    for joint, point, free, locked in ends:
-        matrix[joint - 1, joint - 1] += LOCKING * max(largest, robot.moving_mass)
-        notes.append(
-            f"{model.names[joint]} counts as locked in the masses, not in the motion: free it would make {point} "
-            f"light, typically {free:.3g} in place of {locked:.3g} kg"
-        )
-    model.armature = np.diag(matrix)
-    return replace(robot, model=model, rotors=replace(robot.rotors, matrix=matrix), notes=(*robot.notes, *notes))
+def hold_light_end(robot: Robot, point: str) -> Robot:
+    """Return `robot` with a rotor inertia that locks the joint of a light end, and a note; itself if it has none.
 
-
-def _light_ends(robot: Robot) -> Iterator[tuple[int, str, float, float]]:
-    """Yield joint, contact point, and typical mass [kg] with the joint free and locked, of each light end."""
-    model, seen = robot.model, set[int]()
+    `point` is the contact point at the end of the longest chain.
+    """
+    model, frame = robot.model.copy(), robot.contact_frames[point]
+    joint = model.frames[frame].parentJoint
     arm_mass = robot.moving_mass - max(float(body.mass) for body in model.inertias)
-    ends = set(range(1, model.njoints)) - set(model.parents)
-    for point, frame in robot.contact_frames.items():
-        joint = model.frames[frame].parentJoint
-        if joint in seen or joint not in ends or model.inertias[joint].mass >= LIGHT_SHARE * arm_mass:
-            continue
-        free, locked = _typical_masses(robot, frame, joint - 1)
-        if locked >= MIN_RATIO * free:
-            seen.add(joint)
-            yield joint, point, free, locked
+    if robot.inertias_reason or joint in set(model.parents) or model.inertias[joint].mass >= LIGHT_SHARE * arm_mass:
+        return robot
+    free, locked = _typical_masses(robot, frame, joint - 1)
+    if locked < MIN_RATIO * free:
+        return robot
+    matrix, data = robot.rotors.matrix.copy(), model.createData()
+    largest = max(float(np.diag(robot.mass_matrix(model, data, q)).max()) for q in robot.sample_configurations())
+    matrix[joint - 1, joint - 1] += LOCKING * max(largest, robot.moving_mass)
+    model.armature = np.diag(matrix)
+    note = (
+        f"{model.names[joint]} counts as locked in the masses, not in the motion: free it would make {point} light, "
+        f"typically {free:.3g} in place of {locked:.3g} kg"
+    )
+    return replace(robot, model=model, rotors=replace(robot.rotors, matrix=matrix), notes=(*robot.notes, note))
 
 
 def _typical_masses(robot: Robot, frame: int, column: int) -> tuple[float, float]:

@@ -15,7 +15,7 @@ import pinocchio as pin
 from scara_effmass.errors import RobotError
 from scara_effmass.model.description import RobotDescription, StatedLink, inertia_tensor
 from scara_effmass.model.dh import load_dh
-from scara_effmass.model.light_ends import hold_light_ends
+from scara_effmass.model.light_ends import hold_light_end
 from scara_effmass.model.plausibility import InertialCheck, check_inertials, judge, triangle_error
 from scara_effmass.model.robot import Robot
 from scara_effmass.model.urdf import load_urdf
@@ -110,8 +110,8 @@ def build_robot(stated: RobotDescription, settings: MonitorSettings) -> Robot:
         stated=stated.stated,
         held=stated.held,
     )
-    if stated.may_end_in_tool:
-        robot = hold_light_ends(robot)
+    if stated.tool_tip in contact_frames:
+        robot = hold_light_end(robot, stated.tool_tip)
     judged = judge(robot)
     robot = replace(robot, reach=judged.reach, units_reason=judged.units, notes=(*robot.notes, *judged.notes))
     if not judged.masses or robot.masses_reason:

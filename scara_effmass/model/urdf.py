@@ -47,10 +47,10 @@ _MAX_NUMBER = 1e6
 """Largest magnitude of a length, mass or inertia [SI]; beyond it the dynamics overflow."""
 LIGHT_SHARE = 0.1
 """Share of the moving mass below which joints beyond a contact point may be held in the model."""
-MAX_FINGER_JOINTS = 4
+MAX_FINGER_JOINTS = 5
 """Largest number of joints of a finger."""
-ALIKE = 2.0
-"""Ratio of masses up to which branches are fingers of one gripper."""
+ALIKE, FINGER_KG = 4.0, 0.02
+"""Ratio of masses up to which branches are fingers of one gripper, and a mass that any finger may have."""
 _ROTOR_INERTIA = ("rotor_inertia", "motorInertia")
 _REDUCTION = ("gear_ratio", "mechanicalReduction")
 """Drake's ratio first: its files keep a mechanicalReduction of 1 beside it."""
@@ -78,11 +78,11 @@ def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> RobotDescri
     `settings.armature` wins over the rotor inertia of the URDF. Raises RobotError.
     """
     tree = read_urdf(text, origin, settings.locked_joints, settings.position_limits)
-    notes = []
+    notes, tip = list[str](), tree.tip(tree.base)
     entries = tuple(dict.fromkeys(settings.contact_points))
     if not entries:
-        entries = (tree.tip(tree.base),)
-        notes += tree.notes_on_tip(entries[0])
+        entries = (tip,)
+        notes += tree.notes_on_tip(tip)
     points = [contact_point(entry) for entry in entries]
     # Without a link of its own, a contact point is the link of its name.
     links = [point.link or point.name for point in points]
@@ -126,7 +126,7 @@ def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> RobotDescri
         tip=max((frames[name] for name in (*links, *tips)), key=lambda frame: frame.parentJoint).placement,
         notes=notes,
         stated=frozenset(),
-        may_end_in_tool=not settings.contact_points,
+        tool_tip=tip,
         held=tuple(HeldJoint(name, tree.is_tool_joint(name, needed)) for name in sorted(fixed)),
     )
 
@@ -365,7 +365,7 @@ class UrdfTree:
         for names in branches.values():
             deepest = max(depths[name] for name in names)
             masses = [self._masses[name] for name in names if depths[name] == deepest]
-            are_alike = len(masses) > 1 and max(masses) <= ALIKE * min(masses)
+            are_alike = len(masses) > 1 and max(masses) <= ALIKE * max(min(masses), FINGER_KG)
             if are_alike and deepest <= MAX_FINGER_JOINTS and self._is_light(sum(self._masses[name] for name in names)):
                 starts.update(names)
         starts = {name for name in starts if self._moving_above(name) and self._is_light(self._masses[name])}

@@ -347,3 +347,33 @@ def test_home_in_which_no_node_can_log_is_wrong(
     monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "logs"))
     code, result = run_doctor(capsys)
     assert (code, texts(result, "ok")["ROS_LOG_DIR"]) == (0, f"{tmp_path}/logs: logs go to {tmp_path}/logs")
+
+
+def test_joints_held_fixed_are_listed_with_the_chain_and_why(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """`init` prints the same."""
+    path = arm(tmp_path / "two.urdf")
+    side = (
+        LINK.format(name="s1", x=0.1, mass=1.5, i=0.01)
+        + LINK.format(name="s2", x=0.1, mass=1.5, i=0.01)
+        + "".join(
+            f'<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="{child}"/><axis xyz="0 0 1"/>'
+            '<origin xyz="0.3 0 0"/><limit lower="-1" upper="1" velocity="2" effort="1"/></joint>'
+            for name, parent, child in (("x", "base", "s1"), ("y", "s1", "s2"))
+        )
+    )
+    path.write_text(path.read_text(encoding="utf-8").replace("</robot>", f"{side}</robot>"), encoding="utf-8")
+    notes = [
+        "contact point tip: the tip of the longest chain (set contact_points for another): a, b",
+        "chains of as many joints end at s2: tip comes first by length and name",
+        "held fixed in the model: x, y",
+    ]
+    _, result = run_doctor(capsys, "--robot", str(path))
+    found = [finding["text"] for finding in result["findings"] if finding["subject"] == "robot file"]
+    assert found[:3] == notes
+    assert "UNKNOWN while one of these moves, which the model holds fixed: x, y" in texts(result, "note")["motion"]
+    main(["init", "--robot", str(path), "-o", str(tmp_path / "cell.yaml")])
+    lines = [line.strip() for line in capsys.readouterr().out.splitlines()]
+    assert lines[0] == f"robot           arm ({path})"
+    assert lines[2:5] == notes
