@@ -100,17 +100,23 @@ def input_status(
     publishers: int,
     unheard: str,
     received: int,
+    skipped: int,
+    overload: str,
     incompatible_qos: Collection[str],
     latencies: Latencies,
 ) -> DiagnosticStatus:
-    """Return the status of the joint states; `unheard` is a warning that they have no publisher."""
+    """Return the status of the joint states.
+
+    `unheard` is a warning that they have no publisher, `overload` one that some were skipped.
+    """
     incompatible = "; ".join(sorted(incompatible_qos))
-    problem = incompatible or unheard
+    problem = incompatible or unheard or overload
     if publishers > 1:
         problem = f"{publishers} publishers of joint states: only one may send the robot's joints"
     values = {
         "publishers": publishers,
         "received": received,
+        "skipped": skipped,
         "refused": monitor.rejected if monitor else 0,
         "of other devices": monitor.ignored if monitor else 0,
         "incompatible QoS": incompatible,
