@@ -116,7 +116,7 @@ def _keep_stdout() -> None:
 class _Stdout(FileIO):
     """Stdout whose errors name it, such as that of a full disk."""
 
-    def write(self, data: Any, /) -> int | None:  # noqa: ANN401 - as FileIO
+    def write(self, data: Any, /) -> int | None:  # type: ignore[override]  # noqa: ANN401 - as FileIO at run time
         try:
             return super().write(data)
         except OSError as error:

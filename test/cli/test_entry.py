@@ -288,7 +288,8 @@ def test_output_in_any_encoding(tmp_path: Path, encoding: str, *, as_json: bool)
     """Names of files may be bytes that no encoding has; JSON stays JSON."""
     path = os.fsencode(tmp_path) + b"/\xce\xbc \xff.mcap"
     shutil.copyfile(next(share("bags", "tour").glob("*.mcap")), path)
-    command = [sys.executable, "-m", "scara_effmass", "assess", path, "-o", tmp_path / "a.csv", *["--json"] * as_json]
+    command = [sys.executable, "-m", "scara_effmass", "assess", os.fsdecode(path), "-o", str(tmp_path / "a.csv")]
+    command += ["--json"] * as_json
     environment = os.environ | {"PYTHONIOENCODING": encoding}
     done = subprocess.run(command, capture_output=True, env=environment, check=False)
     assert (done.returncode, done.stderr) == (0, b"")

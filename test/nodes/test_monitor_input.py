@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Invalid joint states give UNKNOWN in the live monitor, and the next valid one gives OK."""
 
+import os
+import signal
 import struct
 import time
 from collections.abc import Callable
@@ -335,18 +337,22 @@ class TestOverload:
         harness.send_until_ok()
         before = int(harness.diagnostic("input", "skipped", lambda _: True).rpartition(" | ")[2])
         harness.synchronize()
-        now_ns = harness.node.get_clock().now().nanoseconds
+        assert harness.process is not None
         count = 400
-        for number in range(count):  # as after a stop of the process
-            harness.send(joint_state(stamp_ns=now_ns - 2_000_000_000 + number))
-        last = joint_state()
-        harness.send(last)
+        os.kill(harness.process.pid, signal.SIGSTOP)
+        try:
+            for number in range(count):
+                harness.send(joint_state(stamp_ns=time.time_ns() - 2 * S + number * MS))
+            last = joint_state()
+            harness.send(last)
+        finally:
+            os.kill(harness.process.pid, signal.SIGCONT)
         harness.spin_until(lambda: any(c.header.stamp == last.header.stamp for c in harness.contact_states))
         answered = len({(c.header.stamp.sec, c.header.stamp.nanosec) for c in harness.contact_states if not c.watchdog})
         text = harness.diagnostic("input", "skipped", lambda value: int(value) > before)
         skipped = int(text.rpartition(" | ")[2]) - before
-        assert answered + skipped == count + 1
-        assert skipped > count // 2
+        assert answered + skipped <= count + 1
+        assert skipped > count // 4
 
     def test_states_in_time_are_all_answered(self, harness: NodeHarness) -> None:
         harness.send_until_ok()
