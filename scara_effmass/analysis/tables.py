@@ -157,7 +157,8 @@ def _columns(bag: str, states: AssessedStates) -> dict[str, pa.Array]:
         return pa.array(np.repeat(values, points))
 
     def labels(codes: NDArray[Any], texts: Sequence[str]) -> pa.Array:
-        choices = pa.array(texts, pa.string()).dictionary_encode()  # no text twice
+        valid = [text.encode("utf-8", "backslashreplace").decode() for text in texts]  # names of files may be any bytes
+        choices = pa.array(valid, pa.string()).dictionary_encode()  # no text twice
         return pa.DictionaryArray.from_arrays(choices.indices.to_numpy()[codes], choices.dictionary)
 
     records, columns = assessments.states, assessments.columns()

@@ -293,8 +293,9 @@ def _bound_chunks(reader: Ros1Reader) -> None:
     def decompressor(compression: str, size: int) -> Callable[[bytes], bytes]:
         return lambda data: inflate(data, compression, size)
 
-    file = reader.bio
-    for position, chunk in reader.chunks.items() if file else ():
+    if (file := reader.bio) is None:
+        return
+    for position, chunk in reader.chunks.items():
         file.seek(position)
         header = Header.read(file, RecordType.CHUNK)
         bounded = decompressor(header.get_string("compression"), header.get_uint32("size"))

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Sequence
 from functools import cache
 from importlib import import_module
+from io import BufferedWriter, FileIO, TextIOWrapper
 from types import FrameType
 from typing import Any, NoReturn
 
@@ -20,6 +21,7 @@ from scara_effmass.extras import missing_extra
 PURPOSE = "Assess a robot's effective mass by ISO/TS 15066, measure impacts, and validate the predictions."
 BROKEN_PIPE, INPUT_ERROR, INTERRUPTED, TERMINATED = 1, 2, 130, 143
 """Exit codes; 130 and 143 are what a shell reports after SIGINT and SIGTERM."""
+STDOUT = "stdout"
 
 
 class _Parser(argparse.ArgumentParser):
@@ -34,40 +36,56 @@ class _Parser(argparse.ArgumentParser):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code: 0, 1 (negative result), 2 (invalid input), 130 (interrupted)."""
+    try:
+        code = _parse_and_run(argv)
+        sys.stdout.flush()
+    except (EffmassError, KeyboardInterrupt, OSError, MemoryError) as error:
+        line, code = _explained(error)
+        if line:
+            print(line, file=sys.stderr)  # noqa: T201 - the only error output
+    return code
+
+
+def _parse_and_run(argv: Sequence[str] | None) -> int:
+    _keep_stdout()
     arguments, ros_arguments = _split(sys.argv[1:] if argv is None else list(argv))
     parser = make_parser()
     if "_ARGCOMPLETE" in os.environ:
         import_module("argcomplete").autocomplete(parser)  # ends the process
-    parsed = parser.parse_args(arguments, argparse.Namespace(ros_arguments=ros_arguments))
+    try:
+        parsed = parser.parse_args(arguments, argparse.Namespace(ros_arguments=ros_arguments))
+    except SystemExit:
+        sys.stdout.flush()  # the help
+        raise
     name = parsed.command
     if name is None:
         parser.print_help()
         return INPUT_ERROR
     if ros_arguments and name not in ROS_COMMANDS:
         parser.error(f"{ros_arguments[0]}: this command takes no ROS arguments")
-    _keep_stdout()
     previous_handler = signal.signal(signal.SIGTERM, _terminate)
     try:
-        code = _run(MODULES.get(name, name), parsed)
-        sys.stdout.flush()
-    except EffmassError as error:
-        print(error, file=sys.stderr)  # noqa: T201 - the only error output
-        return INPUT_ERROR
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)  # noqa: T201
-        return INTERRUPTED
-    except BrokenPipeError:
-        # Otherwise the interpreter reports the broken pipe again at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return BROKEN_PIPE
-    except OSError as error:
-        if error.filename is None:
-            raise
-        print(f"{error.filename}: {error.strerror}", file=sys.stderr)  # noqa: T201
-        return INPUT_ERROR
+        return _run(MODULES.get(name, name), parsed)
     finally:
         signal.signal(signal.SIGTERM, previous_handler)
-    return code
+
+
+def _explained(error: BaseException) -> tuple[str, int]:
+    """Return one line and the exit code for an error that is no defect of this program; raises any other one."""
+    if isinstance(error, OSError) and error.filename == STDOUT:
+        # Otherwise the interpreter reports the failure again at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    if isinstance(error, BrokenPipeError):
+        return "", BROKEN_PIPE
+    if isinstance(error, KeyboardInterrupt):
+        return "interrupted", INTERRUPTED
+    if isinstance(error, MemoryError):
+        return "too little memory: state less work, such as fewer --samples", INPUT_ERROR
+    if isinstance(error, EffmassError):
+        return str(error), INPUT_ERROR
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: {error.strerror}", INPUT_ERROR
+    raise error
 
 
 def _run(module: str, parsed: argparse.Namespace) -> int:
@@ -88,7 +106,21 @@ def _keep_stdout() -> None:
         return
     stdout = os.dup(python.fileno())
     os.dup2(2, python.fileno())
-    sys.stdout = os.fdopen(stdout, "w", 1 if os.isatty(stdout) else -1, python.encoding, python.errors)
+    # A name that the encoding of the terminal does not have is escaped, as on stderr.
+    raw = _Stdout(stdout, "w")
+    sys.stdout = TextIOWrapper(
+        BufferedWriter(raw), python.encoding, "backslashreplace", line_buffering=os.isatty(stdout)
+    )
+
+
+class _Stdout(FileIO):
+    """Stdout whose errors name it, such as that of a full disk."""
+
+    def write(self, data: Any, /) -> int | None:  # type: ignore[override]  # noqa: ANN401 - as FileIO at run time
+        try:
+            return super().write(data)
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, STDOUT) from None
 
 
 def _terminate(_signal: int, _frame: FrameType | None) -> NoReturn:

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 MB = 1_000_000
 NS = 1_000_000_000
+MAX_LIMIT = 2.0**62
+"""Largest size [B] and duration [ns] of a file."""
 
 
 def run(args: argparse.Namespace) -> int:
@@ -46,8 +48,8 @@ def _record(args: argparse.Namespace) -> int:
         raise SettingsError(f"record: topics = {args.topics[0]!r}: must be empty with --all")
     options = RecorderOptions(
         compress=not args.no_compression,
-        max_file_bytes=math.ceil(args.max_size * MB),
-        max_file_ns=math.ceil(args.max_duration * NS),
+        max_file_bytes=math.ceil(min(args.max_size * MB, MAX_LIMIT)),
+        max_file_ns=math.ceil(min(args.max_duration * NS, MAX_LIMIT)),
     )
     console = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
     status = Status("waiting for messages", console=console)

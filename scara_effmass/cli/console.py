@@ -56,7 +56,13 @@ def print_lines(lines: Iterable[tuple[str, object]]) -> None:
 
 def print_json(result: object) -> None:
     """Print `result` as JSON, paths as text. Raises ValueError for NaN and infinity, which JSON does not have."""
-    printer().print_json(json.dumps(result, allow_nan=False, default=str))
+    text = json.dumps(result, allow_nan=False, default=str)
+    try:
+        json.dumps(result, ensure_ascii=False, default=str).encode(sys.stdout.encoding or "utf-8")
+        ensure_ascii = False
+    except UnicodeEncodeError:  # JSON has its own escapes
+        ensure_ascii = True
+    printer().print_json(text, ensure_ascii=ensure_ascii)
 
 
 def print_result(result: object, lines: Iterable[tuple[str, object]], *, as_json: bool) -> None:

@@ -108,6 +108,8 @@ def _name(text: str) -> str:
     return text
 
 
+MAX_COUNT, MAX_WHOLE = 10_000_000, 2**63 - 1
+"""Largest counts, such as samples and impacts, and largest random seed."""
 NUMBER = number("a number", lambda _: True)
 TYPES: Mapping[str, Callable[[str], object]] = {
     "int": int,
@@ -123,9 +125,9 @@ TYPES: Mapping[str, Callable[[str], object]] = {
     "not_negative": number("a number >= 0", lambda value: 0.0 <= value < math.inf),
     "rate": number("a number > 0", lambda value: 0.0 < value < math.inf),
     "positive": number("a number > 0", lambda value: value > 0.0),
-    "whole": number("a whole number from 0", lambda count: count >= 0, int),
-    "count": number("a whole number from 1", lambda count: count >= 1, int),
-    "samples": number("a whole number from 100", lambda count: count >= 100, int),
+    "whole": number(f"a whole number from 0 to {MAX_WHOLE}", lambda count: 0 <= count <= MAX_WHOLE, int),
+    "count": number(f"a whole number from 1 to {MAX_COUNT}", lambda count: 1 <= count <= MAX_COUNT, int),
+    "samples": number(f"a whole number from 100 to {MAX_COUNT}", lambda count: 100 <= count <= MAX_COUNT, int),
     "port": number("a whole number from 0 to 65535", lambda port: 0 <= port <= 65535, int),
     "mass": number("a number from 0.001 to 1000", lambda mass: 1e-3 <= mass <= 1e3),
     "effective_mass": number(

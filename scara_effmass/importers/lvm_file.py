@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import lvm_read  # type: ignore[import-untyped]
+import lvm_read
 import numpy as np
 
 from scara_effmass.errors import BagError, SettingsError

@@ -101,21 +101,25 @@ def input_status(
     publishers: int,
     unheard: str,
     received: int,
+    skipped: int,
+    overload: str,
     incompatible_qos: Collection[str],
     latencies: Latencies,
     has_conflict: bool = False,
 ) -> DiagnosticStatus:
-    """Return the status of the joint states; `unheard` is a warning that they have no publisher.
+    """Return the status of the joint states.
 
-    `has_conflict`: two publishers have sent the robot's joints. Without it, one that sends other joints is no problem.
+    `unheard` is a warning that they have no publisher, `overload` one that some were skipped. `has_conflict`: two
+    publishers have sent the robot's joints. Without it, one that sends other joints is no problem.
     """
     incompatible = "; ".join(sorted(incompatible_qos))
-    problem = incompatible or unheard
+    problem = incompatible or unheard or overload
     if has_conflict or (publishers > 1 and not (monitor and monitor.ignored)):
         problem = f"{publishers} publishers of joint states: only one may send the robot's joints"
     values = {
         "publishers": publishers,
         "received": received,
+        "skipped": skipped,
         "refused": monitor.rejected if monitor else 0,
         "of other devices": monitor.ignored if monitor else 0,
         "moved, but not in the model": ", ".join(monitor.unmodelled_joints) if monitor else "",

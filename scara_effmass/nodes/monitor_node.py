@@ -7,7 +7,7 @@ The watchdog has a thread of its own, so it also publishes while a callback take
 import threading
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import suppress
 from typing import Any
@@ -44,12 +44,15 @@ from scara_effmass.settings import MonitorSettings
 from scara_effmass.settings.loading import fixed
 from scara_effmass.values import Decision, Payload
 from scara_effmass.wire import topics
+from scara_effmass.wire.cdr import header_stamp_ns
 from scara_effmass.wire.contact_states import ContactStatesEncoder, float64_message
 from scara_effmass.wire.joint_state import JointStateDecoder
 from scara_effmass.wire.payload import decode_payload
 
 _WATCHDOG_CHECKS_PER_TIMEOUT = 4
 _MIN_WATCHDOG_PERIOD_S = 1e-3
+_MAX_WAIT = 0.5
+"""Share of the timeout that a joint state may wait; later, only the newest ones are answered."""
 _ACK_TIMEOUT = Duration(seconds=0.5)
 _MIN_REPORT_INTERVAL_NS = 100_000_000
 _CLOCK_CHECK_S = 0.1
@@ -97,7 +100,7 @@ class MonitorNode(LifecycleBase):
         """Load the robot and create the endpoints. Raises EffmassError."""
         self.own(self, MonitorNode._forget_robot)
         self._decoder = JointStateDecoder()
-        self._received = 0
+        self._received = self._skipped = self._skipped_before = 0
         self._latencies = Latencies()
         self._latest: Assessments | None = None
         self._verdicts: list[float] = []
@@ -222,10 +225,42 @@ class MonitorNode(LifecycleBase):
             self.get_logger().info(f"accepted assumptions: {', '.join(map(name_of, assumptions.accepted))}")
 
     def _on_joint_state(self, data: bytes, info: dict[str, Any]) -> None:
-        if not self.active:
-            return
-        start_ns = time.monotonic_ns()
+        if self.active:
+            for message in self._newest(data, info):
+                self._answer(*message)
+
+    def _newest(self, data: bytes, info: dict[str, Any]) -> Iterable[tuple[bytes, dict[str, Any]]]:
+        """Return the joint state, or where it comes late the newest ones that wait behind it, one of each device.
+
+        An answer to a state of long ago helps nobody, and delays the next. In simulated time, every state is answered.
+        """
         self._received += 1
+        timeout_ns = self._settings.timeout * 1e9
+        waited_ns, age_ns = time.time_ns() - info["received_timestamp"], self.now_ns() - header_stamp_ns(data)
+        is_late = waited_ns > _MAX_WAIT * timeout_ns or age_ns > timeout_ns
+        if not is_late or self.get_parameter("use_sim_time").value:
+            return ((data, info),)
+        messages = [(data, info)]
+        while len(messages) <= topics.JOINT_STATES_INPUT_QOS.depth and self._joint_states is not None:
+            if (taken := self._joint_states.handle.take_message(JointState, True)) is None:  # noqa: FBT003
+                break
+            messages.append(taken)
+        self._received += len(messages) - 1
+        newest: dict[tuple[str, ...], tuple[bytes, dict[str, Any]]] = {}
+        for message in messages:
+            names = self._names(message[0])
+            newest.pop(names, None)  # the order of arrival
+            newest[names] = message
+        self._skipped += len(messages) - len(newest)
+        return newest.values()
+
+    def _names(self, data: bytes) -> tuple[str, ...]:
+        with suppress(DecodeError):
+            return self._decoder.decode(data).names
+        return ()
+
+    def _answer(self, data: bytes, info: dict[str, Any]) -> None:
+        start_ns = time.monotonic_ns()
         with self._monitor_lock:
             monitor = self._monitor
             if monitor is None:
@@ -358,12 +393,19 @@ class MonitorNode(LifecycleBase):
             publishers=self.count_publishers(self._joint_states.topic_name),
             unheard=no_publisher(self, topics.JOINT_STATES, "sensor_msgs/msg/JointState"),
             received=self._received,
+            skipped=self._skipped,
+            overload=self._overload(),
             incompatible_qos=self.incompatible_qos,
             latencies=self._latencies,
             has_conflict=any(contact.reason_code is Reason.SECOND_PUBLISHER for contact in contacts),
         )
         input_age = decision.input_age if decision else 0.0
         return monitor_statuses(self._monitor, contacts, self._change_counts, input_age, joint_states)
+
+    def _overload(self) -> str:
+        """Return a warning if joint states were skipped since the last report."""
+        skipped, self._skipped_before = self._skipped - self._skipped_before, self._skipped
+        return f"overload: {skipped} joint states were skipped for newer ones" if skipped else ""
 
     def _refuse_robot(self, reason: str) -> None:
         with self._monitor_lock:

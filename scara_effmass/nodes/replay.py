@@ -139,7 +139,7 @@ class _Player:
         self._bag = bag
         self._client = client
         self._on_progress = on_progress
-        self._start_ns = bag.start_ns + round(options.start_s * _NS)
+        self._start_ns = bag.start_ns + round(min(options.start_s * _NS, float(MAX_TIME_NS)))
         if self._start_ns > bag.end_ns:
             rule = f"must be within the {bag.duration_ns / _NS:.3f} s recorded"
             raise SettingsError(f"{bag.path}: start = {options.start_s} s: {rule}")

@@ -2,6 +2,8 @@
 """All commands: help, version, errors in one line, signals, and no slow imports for --help."""
 
 import json
+import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -271,3 +273,37 @@ def test_demo_takes_its_output_folder_as_every_command(option: str) -> None:
 def test_every_command_that_writes_has_the_option_o(name: str) -> None:
     options = [option for item in COMMANDS[name].options for option in (item if isinstance(item, tuple) else (item,))]
     assert any("-o" in option.names for option in options)
+
+
+@pytest.mark.live
+@pytest.mark.parametrize("arguments", [["limits", "--json"], ["limits"], ["--help"], ["doctor"]])
+def test_full_stdout_gives_one_line(arguments: list[str]) -> None:
+    with Path("/dev/full").open("w", encoding="utf-8") as full:
+        command = [sys.executable, "-m", "scara_effmass", *arguments]
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr == "stdout: No space left on device\n"
+
+
+@pytest.mark.live
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "utf-8"])
+@pytest.mark.parametrize("as_json", [False, True])
+def test_output_in_any_encoding(tmp_path: Path, encoding: str, *, as_json: bool) -> None:
+    """Names of files may be bytes that no encoding has; JSON stays JSON."""
+    path = os.fsencode(tmp_path) + b"/\xce\xbc \xff.mcap"
+    shutil.copyfile(next(share("bags", "tour").glob("*.mcap")), path)
+    command = [sys.executable, "-m", "scara_effmass", "assess", os.fsdecode(path), "-o", str(tmp_path / "a.csv")]
+    command += ["--json"] * as_json
+    environment = os.environ | {"PYTHONIOENCODING": encoding}
+    done = subprocess.run(command, capture_output=True, env=environment, check=False)
+    assert (done.returncode, done.stderr) == (0, b"")
+    if as_json:
+        assert "\u03bc \udcff.mcap" in json.loads(done.stdout.decode(encoding))["tightest"]["bag"]
+
+
+@pytest.mark.parametrize("value", ["9" * 26, "9" * 5000, "1e3", "-1", "0.5", "nan"])
+@pytest.mark.parametrize(
+    "command", [["map", "-o", "out", "--samples"], ["lump", "--poses"], ["evidence", "-o", "out", "--seed"]]
+)
+def test_impossible_count_is_refused_in_one_line(refused: Refused, command: str, value: str) -> None:
+    assert "must be a whole number from" in refused(*command.split(), value)

@@ -67,7 +67,8 @@ class TestFile:
     def test_times_unit_and_values(self, tmp_path: Path, mark: str, columns: str) -> None:
         path = write(tmp_path / "a.lvm", text(mark, columns))
         (block,) = imported(path)
-        assert (force_of([block]), block.sample_rate) == ([0.5, 1.5, 2.5], pytest.approx(100.0))
+        assert force_of([block]) == [0.5, 1.5, 2.5]
+        assert block.sample_rate == pytest.approx(100.0)
         assert (block.stamp_ns, block.source) == (1_735_722_000 * NS + NS // 4, "a.lvm, Force")
         assert len(force_of(imported(path, topic="Bridge", unit="N"))) == 3
         assert list(tmp_path.iterdir()) == [path]  # no pickle
