@@ -241,7 +241,8 @@ def force_parts(
     defaults = MonitorSettings.model_validate(values)
     margins = {name: value for name, value in NO_MARGINS.items() if name != "drives"}
     kinds = {**values, **margins}, {**values, **margins, "mass_uncertainty": defaults.mass_uncertainty}, values
-    (limit,), parts = limits_for(defaults), []
+    (limit,) = limits_for(defaults)
+    parts: list[FloatArray] = []
     while len(parts) < count:
         q, qd, _ = draw(arm, rng, defaults)
         peak = arm.sim.touch(q, qd, arm.plate_normal("worst", q, qd, limit, rng, servo), limit, servo).force

@@ -191,9 +191,8 @@ def test_arm_whose_joints_would_saturate_keeps_the_limit(robot: str) -> None:
     settings = MonitorSettings(servo=servo, body_regions=("thigh_knee",), effective_mass_model="full")
     (limit,) = limits_for(settings)
     motion = np.array(qd) + TINY
-    allowed = arm.allowed(
-        np.array(q), motion * (CREEP_MPS / np.linalg.norm(arm.sim.kinematics(q)[0] @ motion)), settings
-    )
+    speed = float(np.linalg.norm(arm.sim.kinematics(np.array(q))[0] @ motion))
+    allowed = arm.allowed(np.array(q), motion * (CREEP_MPS / speed), settings)
     assert allowed is not None
     peak = arm.sim.touch(np.array(q), allowed, np.array(normal), limit, servo)
     assert 0.0 < peak.force < limit.permissible_force_n
