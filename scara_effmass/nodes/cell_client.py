@@ -64,7 +64,7 @@ class CellClient(ClientNode):
         self.executor.remove_node(self.node)  # which would queue an event for every message
         self._polled_ns = time.monotonic_ns()
         self.status = CellStatus(self._polled_ns)
-        self._graph_ns = 0
+        self._graph_ns = self._monitors = 0
         self._on_decision, self._on_validation = on_decision or (lambda _: None), on_validation
         self._joint_states = JointStateDecoder()
         stream = topics.STREAM_QOS._replace(reliable=on_decision is not None)
@@ -153,6 +153,9 @@ class CellClient(ClientNode):
         deadlines_ns = [publisher.qos_profile.deadline.nanoseconds for publisher in publishers]
         limits_ns = [deadline_ns for deadline_ns in deadlines_ns if 0 < deadline_ns < _MAX_DEADLINE_NS]
         self.status.take_publisher(min(limits_ns, default=DEFAULT_TIMEOUT_NS), exists=bool(publishers))
+        if len(publishers) > self._monitors > 0:  # before its first message
+            self.status.take_second_publisher(self._graph_ns)
+        self._monitors = len(publishers)
         if not self.node.count_publishers(topics.RUN_INFO):
             self.status.run_info = None
 
