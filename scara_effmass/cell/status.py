@@ -243,6 +243,11 @@ class CellStatus:
         if not exists:
             self.decision = None
 
+    def take_second_publisher(self, now_ns: int) -> None:
+        """Take that contact_states has got a second publisher: another monitor, unless the first one is silent."""
+        if self.decision is not None and now_ns - self._arrived_ns <= self.timeout_ns:
+            self._conflict_ns = now_ns
+
     def update(self, now_ns: int) -> None:
         """Judge silence at `now_ns`, log the verdict, and cut out the force of new impacts."""
         verdict, point, (code, reason) = self._judge(now_ns)

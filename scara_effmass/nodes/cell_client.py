@@ -64,7 +64,9 @@ class CellClient(ClientNode):
         self.executor.remove_node(self.node)  # which would queue an event for every message
         self._polled_ns = time.monotonic_ns()
         self.status = CellStatus(self._polled_ns)
-        self._graph_ns = 0
+        self._graph_ns = self._monitors = 0
+        self._has_joined = False
+        """Whether a monitor has joined another one at the last look at the graph."""
         self._on_decision, self._on_validation = on_decision or (lambda _: None), on_validation
         self._joint_states = JointStateDecoder()
         stream = topics.STREAM_QOS._replace(reliable=on_decision is not None)
@@ -106,6 +108,9 @@ class CellClient(ClientNode):
                 with suppress(DecodeError):  # no news, as silence
                     take(message, at_ns)
         self._polled_ns = now_ns
+        if self._has_joined:  # known before its first message; the messages of the other one show whether it is alive
+            self.status.take_second_publisher(time.monotonic_ns())
+            self._has_joined = False
         self.status.update(time.monotonic_ns())
         return self.status
 
@@ -153,6 +158,7 @@ class CellClient(ClientNode):
         deadlines_ns = [publisher.qos_profile.deadline.nanoseconds for publisher in publishers]
         limits_ns = [deadline_ns for deadline_ns in deadlines_ns if 0 < deadline_ns < _MAX_DEADLINE_NS]
         self.status.take_publisher(min(limits_ns, default=DEFAULT_TIMEOUT_NS), exists=bool(publishers))
+        self._has_joined, self._monitors = len(publishers) > self._monitors > 0, len(publishers)
         if not self.node.count_publishers(topics.RUN_INFO):
             self.status.run_info = None
 

@@ -49,7 +49,15 @@ from scara_effmass.wire import topics
 from scara_effmass.wire.contact_states import ContactStatesEncoder
 from scara_effmass.wire.force import impact_message
 from test.decisions import assessments_of, decision_on
-from test.nodes.conftest import JOINTS, NodeHarness, Q, joint_state, ros_node, stamp_ns
+from test.nodes.conftest import (
+    JOINTS,
+    NodeHarness,
+    Q,
+    joint_state,
+    localhost_only,  # noqa: F401 - a fixture
+    ros_node,
+    stamp_ns,
+)
 from test.nodes.test_flood import FLOODER
 from test.nodes.test_monitor_end import ONE_LINK
 from test.nodes.test_monitor_input import INVALID
@@ -998,7 +1006,7 @@ def check_properties(make: SetUp, bag: Path) -> None:
 
 @pytest.fixture(scope="module")
 def cell_of(
-    localhost_only: None,  # noqa: ARG001
+    localhost_only: None,  # noqa: ARG001, F811
     reserve_domain: Callable[[], AbstractContextManager[int]],
     tmp_path_factory: pytest.TempPathFactory,
 ) -> Iterator[Callable[[SetUp], tuple[Cell, Recording]]]:

@@ -27,6 +27,9 @@ DEADLINE_S = 1.0
 MS = 1_000_000
 
 
+OK = decision_on(unknown_contact("tool", "")._replace(verdict=Verdict.OK, allowable_speed=0.5, margin=0.5))
+
+
 def poll_until(client: CellClient, done: Callable[[CellStatus], object], repeat: Callable[[], object] = bool) -> None:
     end = time.monotonic() + TIMEOUT_S
     while not done(client.poll()):
@@ -76,11 +79,15 @@ def test_a_verdict_of_one_message_is_not_missed_and_silence_is_unknown(node: Nod
             states, first = publisher(other, ContactStates, topics.CONTACT_STATES, 20.0), states
             encoder, first_encoder = ContactStatesEncoder("base_link"), encoder
 
+            def first_sends(publisher: Any) -> None:  # noqa: ANN401 - the second one is known before it has sent anything
+                publisher.publish(first_encoder.encode(assessments_of(OK)))
+
             def send_both() -> None:
                 nonlocal states, first, encoder, first_encoder
                 states, first, encoder, first_encoder = first, states, first_encoder, encoder
                 send(Verdict.OK, 0.1)
 
+            poll_until(client, lambda s: s.reason.startswith("two monitors"), lambda: first_sends(first))
             poll_until(client, lambda s: s.reason.startswith("two monitors"), send_both)
             # Its longer deadline must not cover the silence of the first one.
             end = time.monotonic() + 0.5
