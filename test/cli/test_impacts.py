@@ -48,7 +48,9 @@ def test_the_list_has_a_line_for_each_contact_and_for_what_is_left_out(cli: Cli,
     left_out = [line for line in lines if line.startswith("left out ")]
     assert len(left_out) == 2
     assert re.match(r"left out 1: single samples \(up to (89.9|90.\d) N\) at 6.000 s", left_out[0])
-    assert re.match(r"left out 1: slow change: drift, or a press that comes and goes slowly \(up to (39|40)", left_out[1])
+    assert re.match(
+        r"left out 1: slow change: drift, or a press that comes and goes slowly \(up to (39|40)", left_out[1]
+    )
 
 
 def test_a_wrong_sign_is_said(cli: Cli, tmp_path: Path) -> None:
@@ -75,4 +77,6 @@ def test_the_threshold_is_an_option(cli: Cli, refused: Refused, tmp_path: Path) 
     found = [json.loads(cli("impacts", path, "--json", *more).stdout)["contacts"] for more in ((), ("--threshold", 1))]
     assert found == [0, 1]
     assert "--threshold: 0: must be a number > 0" in refused("impacts", path, "--threshold", 0)
-    assert "must hold scara_effmass_msgs/msg/ForceBlock" in refused("impacts", CASES.parents[2] / "bags" / "straight_300_200")
+    assert "must hold scara_effmass_msgs/msg/ForceBlock" in refused(
+        "impacts", CASES.parents[2] / "bags" / "straight_300_200"
+    )
