@@ -155,7 +155,9 @@ class Page:
         rows = [
             [
                 self._clock(record.at_ns) + " (simulated)" * record.impact.simulated,
-                f"{record.impact.peak_force:.1f} N" + " at least" * (record.impact.clipped or record.impact.incomplete),
+                f"{record.impact.peak_force:.1f} N"
+                + " at least" * (record.impact.clipped or record.impact.incomplete)
+                + f", held {record.impact.held_force:.1f} N" * (record.impact.held_force > 0.0),
                 f"{record.validation.predicted_force:.1f} N" if record.validation else "none yet",
                 f"{record.validation.relative_error:+.1%}" if record.validation else "",
                 _region_text(record.validation) if record.validation else "",
