@@ -460,7 +460,9 @@ def _curves(contacts: list[Contact], folder: Path) -> Iterator[ShownTrace | Curv
         yield from (CurveNote(contact.title, name, reason) for contact in contacts)
         return
     for contact, curve in zip(contacts, curves, strict=True):
-        yield from curve or [CurveNote(contact.title, name, "no force at the time of the contact: state raw_offset_s")]
+        yield from curve
+        if not curve:
+            yield CurveNote(contact.title, name, "no force at the time of the contact: state raw_offset_s")
 
 
 def _photos(protocol: Protocol, folder: Path) -> Iterator[tuple[str, str, str]]:

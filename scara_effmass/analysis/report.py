@@ -81,13 +81,26 @@ def catalogue(language: str) -> Mapping[str, str]:
     return texts
 
 
+@lru_cache
+def patterns(language: str) -> list[tuple[re.Pattern[str], str]]:
+    """Return the texts with "{}" for any text without ": ", as patterns, and those of `language` as formats."""
+    found = []
+    for english, text in catalogue(language).items():
+        if "{}" in english:
+            parts = "((?:(?!: ).)*?)".join(map(re.escape, english.split("{}")))
+            found.append((re.compile(parts), text))
+    return found
+
+
 def translated(text: str, language: str) -> str | None:
     """Return `text` in `language`, its numbers in the same order, or None if the catalogue lacks it."""
     if language == ENGLISH:
         return text
     known = None if "…" in text else catalogue(language).get(_NUMBER.sub("…", text))
     if known is None:
-        return None
+        found = ((pattern.fullmatch(text), known) for pattern, known in patterns(language))
+        match, known = next((pair for pair in found if pair[0]), (None, ""))
+        return known.format(*(translated(part, language) or part for part in match.groups())) if match else None
     numbers = (match.group() for match in _NUMBER.finditer(text))
     return re.sub("…", lambda _: next(numbers), known)
 

@@ -31,9 +31,12 @@ from scara_effmass.analysis.report import (
 from scara_effmass.analysis.summary import iso_time
 from scara_effmass.analysis.validation import Validation, ValidationSettings
 from scara_effmass.analysis.validation_report import write_report
+from scara_effmass.codes import Reason
 from scara_effmass.errors import OutputError
 from scara_effmass.iso15066 import EDITION
 from scara_effmass.reference import RobotDynamics
+from scara_effmass.safety.reasons import TEXTS
+from scara_effmass.safety.remedies import remedy
 from test.analysis.conftest import RAW, changed, content
 
 REPORTS = ("report", "glossary", "macros", "validation", "run", "protocol")
@@ -82,6 +85,21 @@ def test_lines_of_a_run_are_translated() -> None:
     subjects = {subject.strip() for subject in re.findall(r'yield "([^"]+)", ', lines)}
     assert len(subjects) >= 7
     assert subjects <= catalogue("de").keys()
+
+
+@pytest.mark.parametrize("language", LANGUAGES)
+def test_reasons_and_remedies_of_verdicts_are_translated(language: str) -> None:
+    """Except for details, which come from elsewhere, and what the protocol of a joint or robot says."""
+    own = {"{detail}", "{masses}", "{assumed}", ""}
+    texts = [re.sub(r"\{[^}]*\}", "7", text) for text in TEXTS.values() if text not in own]
+    for text in (*texts, *map(remedy, Reason)):
+        assert all(is_known for _, is_known in phrases(text, language)), text
+
+
+def test_reason_is_translated_with_its_words() -> None:
+    text = "held after: 0.507 m/s is above the 0.503 m/s that the force limit of lower_leg allows"
+    german = "gehalten nach: 0.507 m/s liegen über den 0.503 m/s, die der Grenzwert (Kraft) von Unterschenkel zulässt"
+    assert "".join(part for part, _ in phrases(text, "de")) == german
 
 
 def test_numbers_of_a_text_from_the_code_are_kept() -> None:
