@@ -82,7 +82,7 @@ def _advise(args: argparse.Namespace) -> int:
         info = RunInfo(stamp_ns=states[0].stamp_ns, simulated=True, note=note)
         write_recording(args.output / BAG, info, advice.states, (), overwrite=args.force)
     lines = [robot_line(dynamics.robot, settings)]
-    lines += [("joint states", f"{len(states)}, {unknown} of them UNKNOWN"), ("segments", len(rows))]
+    lines += [("joint states", f"{len(states)}, {unknown} of them UNKNOWN"), ("segments", str(len(rows)))]
     lines += [("no speed", f"from {row['start_s']:.3f} s: {row['decides']}") for row in missing[:10]]
     ends = "no advised motion: some segments have no speed" if missing else f"{after.sum():.2f} s"
     lines += [("cycle time", f"{before.sum():.2f} s recorded, {ends}")]
