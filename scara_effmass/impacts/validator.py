@@ -71,7 +71,8 @@ class _Summary(NamedTuple):
     clock: ClockOffset
 
 
-class HeldForces(NamedTuple):
+@dataclass(frozen=True)
+class HeldForces:
     """Contacts whose force stayed, in the series or left out: how many, how many exceed a limit, and the worst one.
 
     What stayed is compared with the quasi-static limits, as measured. The first 0.5 s of a press, which is no impact,

@@ -36,6 +36,7 @@ from scara_effmass.nodes.monitor_health import (
     monitor_statuses,
     worst_contacts,
 )
+from scara_effmass.nodes.overload import newest_waiting
 from scara_effmass.nodes.robot_input import NO_DESCRIPTION, label, use_robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Assessments, Cause, Monitor, unknown_assessments
@@ -240,19 +241,16 @@ class MonitorNode(LifecycleBase):
         is_late = waited_ns > _MAX_WAIT * timeout_ns or age_ns > timeout_ns
         if not is_late or self.get_parameter("use_sim_time").value:
             return ((data, info),)
-        messages = [(data, info)]
-        while len(messages) <= topics.JOINT_STATES_INPUT_QOS.depth and self._joint_states is not None:
-            if (taken := self._joint_states.handle.take_message(JointState, True)) is None:  # noqa: FBT003
-                break
-            messages.append(taken)
-        self._received += len(messages) - 1
-        newest: dict[tuple[str, ...], tuple[bytes, dict[str, Any]]] = {}
-        for message in messages:
-            names = self._names(message[0])
-            newest.pop(names, None)  # the order of arrival
-            newest[names] = message
-        self._skipped += len(messages) - len(newest)
-        return newest.values()
+        handle = self._joint_states.handle
+        newest, skipped = newest_waiting(
+            (data, info),
+            lambda: handle.take_message(JointState, True),  # noqa: FBT003
+            lambda message: self._names(message[0]),
+            topics.JOINT_STATES_INPUT_QOS.depth,
+        )
+        self._received += len(newest) + skipped - 1
+        self._skipped += skipped
+        return newest
 
     def _names(self, data: bytes) -> tuple[str, ...]:
         with suppress(DecodeError):
