@@ -71,15 +71,14 @@ class _Summary(NamedTuple):
     clock: ClockOffset
 
 
-@dataclass(frozen=True)
-class HeldForces:
+class HeldForces(NamedTuple):
     """Contacts whose force stayed, in the series or left out: how many, how many exceed a limit, and the worst one.
 
     What stayed is compared with the quasi-static limits, as measured. The first 0.5 s of a press, which is no impact,
     are compared with the limits for impacts, as measured.
     """
 
-    count: int
+    contacts: int
     exceedances: int
     worst: RegionForce
 
