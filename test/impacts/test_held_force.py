@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from scara_effmass.impacts.detector import Detector
 from scara_effmass.impacts.load import EARLIER_LOAD, LATER_LOAD, MAX_HELD_S, NO_BASELINE, SLOW_CHANGE, TENSION
@@ -173,7 +174,7 @@ def test_a_tare_makes_the_load_the_zero(make_block: MakeBlock) -> None:
     assert [impact.load_force for impact in impacts] == [0.0, 0.0]
 
 
-def covered(impacts: Iterable[tuple[float, float]], time: FloatArray) -> FloatArray:
+def covered(impacts: Iterable[tuple[float, float]], time: FloatArray) -> NDArray[np.bool_]:
     mask = np.zeros(time.size, dtype=np.bool_)
     for begin, end in impacts:
         mask |= (time >= begin - 0.05) & (time <= end + 0.05)
