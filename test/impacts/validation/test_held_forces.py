@@ -50,7 +50,7 @@ def validated(
     return found + validator.finish(), validator.result()
 
 
-def first(**changes: Any) -> Callable[[int, Impact], Impact]:
+def first(**changes: Any) -> Callable[[int, Impact], Impact]:  # noqa: ANN401 - fields of Impact
     return lambda number, impact: impact._replace(**changes) if number == 0 else impact
 
 
