@@ -184,9 +184,9 @@ def above_limit(result: Result) -> int:
 
 def held_text(result: Result) -> str:
     """Return the contacts whose force stayed and the largest one relative to its limit; empty without such contacts."""
-    if not result.held.count:
+    if not result.held.contacts:
         return ""
-    above, worst = f"{result.held.exceedances} of {result.held.count} above the limit", result.held.worst
+    above, worst = f"{result.held.exceedances} of {result.held.contacts} above the limit", result.held.worst
     return f"{above}; largest {worst.force:.0f} N of {worst.limit:.0f} N ({worst.region})"
 
 

@@ -78,7 +78,7 @@ class HeldForces(NamedTuple):
     are compared with the limits for impacts, as measured.
     """
 
-    count: int
+    contacts: int
     exceedances: int
     worst: RegionForce
 

@@ -68,7 +68,7 @@ def series_status(
         "gain of the force": f"{fit.gain:.4g} ({fit.gain_interval.low:.4g} to {fit.gain_interval.high:.4g})",
         "clock offset [s]": f"{result.clock_offset.offset:.4g}",
         "impacts above the limit": result.exceedances,
-        "contacts that held": result.held.count,
+        "contacts that held": result.held.contacts,
         "contacts that held above the limit": result.held.exceedances,
         "bias [N]": f"{selected.bias:.4g}",
         "rmse [N]": f"{selected.rmse:.4g}",

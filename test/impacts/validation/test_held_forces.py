@@ -59,7 +59,7 @@ def same(_: int, impact: Impact) -> Impact:
 def test_without_force_that_stays_nothing_is_compared(campaign: Cell) -> None:
     impacts, result = validated(campaign, same)
     assert {(impact.held_force, impact.held_limit, impact.held_region) for impact in impacts} == {(0.0, 0.0, "")}
-    assert (result.held.count, result.held.exceedances) == (0, 0)
+    assert (result.held.contacts, result.held.exceedances) == (0, 0)
 
 
 @pytest.mark.parametrize(("held", "load", "exceeds"), [(0.9, 0.0, False), (1.1, 0.0, True), (0.6, 0.5, True)])
@@ -72,7 +72,7 @@ def test_what_stays_after_an_impact_has_the_quasi_static_limit(
     impact = next(one for one in impacts if one.held_force)
     assert impact.held_force == pytest.approx((held + load) * QUASI_STATIC)
     assert (impact.held_limit, impact.held_region) == (QUASI_STATIC, REGION)
-    assert (result.held.count, result.held.exceedances) == (1, int(exceeds))
+    assert (result.held.contacts, result.held.exceedances) == (1, int(exceeds))
     assert impact.exceeds_limit == (exceeds or impact.region_force > TRANSIENT)
     assert len(result.impacts) == 12  # the peak is an impact as any other
     assert result.models[0].fit.mass_scale == pytest.approx(before.models[0].fit.mass_scale)
@@ -94,7 +94,7 @@ def test_a_press_is_no_impact_of_the_series_but_is_compared(campaign: Cell) -> N
     change = first(held_force=2.0 * QUASI_STATIC, compression_impulse=0.0)
     impacts, result = validated(campaign, change)
     assert (len(impacts), result.excluded) == (11, {PRESS: 1})
-    assert (result.held.count, result.held.exceedances, result.held.worst.limit) == (1, 1, QUASI_STATIC)
+    assert (result.held.contacts, result.held.exceedances, result.held.worst.limit) == (1, 1, QUASI_STATIC)
     statistics = sum(impact.exceeds_limit for impact in result.impacts)
     assert result.exceedances == statistics + 1
 
@@ -110,5 +110,5 @@ def test_what_stays_is_compared_without_the_state_of_the_robot(campaign: Cell) -
     change = first(held_force=2.0 * QUASI_STATIC)
     impacts, result = validated(campaign, change, with_states=False)
     assert (impacts, sum(result.unpaired.values())) == ([], 12)
-    assert (result.held.count, result.held.exceedances) == (1, 1)
+    assert (result.held.contacts, result.held.exceedances) == (1, 1)
     assert result.exceedances == 1
