@@ -288,7 +288,7 @@ class LeftOut(NamedTuple):
     """Force above the threshold that is in no impact, by `reason`: how often, the largest one [N], and its time."""
 
     reason: str
-    count: int
+    occurrences: int
     peak_force: float
     stamp_ns: int
 

@@ -60,7 +60,7 @@ class RecordedContacts:
         left_out = [
             {
                 "reason": item.reason,
-                "count": item.count,
+                "count": item.occurrences,
                 "peak_force_n": item.peak_force,
                 "time_s": (item.stamp_ns - self.start_ns) / NS,
             }

@@ -34,7 +34,7 @@ class LeftOuts:
         known = self._by_reason.get(reason, LeftOut(reason, 0, -math.inf, 0))
         if peak > known.peak_force:
             known = known._replace(peak_force=peak, stamp_ns=stamp_ns)
-        self._by_reason[reason] = known._replace(count=max(known.count + count, 1))
+        self._by_reason[reason] = known._replace(occurrences=max(known.occurrences + count, 1))
 
     def __iter__(self) -> Iterator[LeftOut]:
         """Yield the counts, the largest peak first."""
@@ -43,7 +43,7 @@ class LeftOuts:
 
 def left_out_text(item: LeftOut) -> str:
     """Return how often force was left out, and the largest one."""
-    return f"{item.count}: {item.reason} (up to {item.peak_force:.1f} N)"
+    return f"{item.occurrences}: {item.reason} (up to {item.peak_force:.1f} N)"
 
 
 def lasting_peak(force: FloatArray) -> float:

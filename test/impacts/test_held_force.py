@@ -109,7 +109,7 @@ def test_force_that_moves_for_long_is_reported_and_the_rest_counted(detect: Dete
     assert impacts[0].peak_force == pytest.approx(158.0, rel=0.02)
     assert impacts[0].held_force == pytest.approx(65.0, abs=1.0)
     assert impacts[0].duration == pytest.approx(MAX_HELD_S, abs=0.2)
-    assert [(item.reason, item.count) for item in detector.left_out] == [(LATER_LOAD, 1)]
+    assert [(item.reason, item.occurrences) for item in detector.left_out] == [(LATER_LOAD, 1)]
     assert peaks_by_reason(detector)[LATER_LOAD] == pytest.approx(105.0, abs=1.0)
 
 
@@ -125,7 +125,7 @@ def test_a_slow_press_is_found_by_its_end_and_otherwise_counted_with_its_peak(de
     assert list(detector.left_out) == []
     impacts, detector = detect(noise(time) + press(time, 5.0, 60.0, 6.0, 1.0, 6.0), rate)
     assert impacts == []
-    assert [(item.reason, item.count) for item in detector.left_out] == [(SLOW_CHANGE, 1)]
+    assert [(item.reason, item.occurrences) for item in detector.left_out] == [(SLOW_CHANGE, 1)]
     assert peaks_by_reason(detector)[SLOW_CHANGE] == pytest.approx(60.0, abs=1.0)
 
 

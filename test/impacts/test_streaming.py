@@ -52,7 +52,7 @@ def test_the_eventful_signal(detect: Detect, eventful: FloatArray) -> None:
     assert [impact.incomplete for impact in impacts] == [False] * 4 + [True] + [False] * 3 + [True]
     assert [impact.held_force for impact in impacts] == pytest.approx([0.0] * 5 + [25.0] + [0.0] * 3, abs=0.5)
     assert [impact.load_force for impact in impacts] == pytest.approx([0.0] * 6 + [25.0] + [0.0] * 2, abs=0.1)
-    assert {(item.reason, item.count) for item in detector.left_out} == {(SINGLE_SAMPLE, 1), (STUCK, 1)}
+    assert {(item.reason, item.occurrences) for item in detector.left_out} == {(SINGLE_SAMPLE, 1), (STUCK, 1)}
     assert [item.peak_force for item in detector.left_out] == pytest.approx([80.0, 57.0], abs=1.0)
     assert (detector.dropouts, detector.glitches, detector.sustained_contacts) == (2, 1, 1)
 
