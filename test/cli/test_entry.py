@@ -302,8 +302,6 @@ def test_output_in_any_encoding(tmp_path: Path, encoding: str, *, as_json: bool)
 
 
 @pytest.mark.parametrize("value", ["9" * 26, "9" * 5000, "1e3", "-1", "0.5", "nan"])
-@pytest.mark.parametrize(
-    "command", [["map", "-o", "out", "--samples"], ["lump", "--poses"], ["evidence", "-o", "out", "--seed"]]
-)
+@pytest.mark.parametrize("command", ["map -o out --samples", "lump --poses", "evidence -o out --seed"])
 def test_impossible_count_is_refused_in_one_line(refused: Refused, command: str, value: str) -> None:
     assert "must be a whole number from" in refused(*command.split(), value)
