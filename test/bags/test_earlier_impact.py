@@ -36,7 +36,7 @@ def recorded(path: Path, without: tuple[str, ...], impact: Impact) -> Path:
 
 
 def test_the_added_fields_are_known() -> None:
-    assert ADDED_FIELDS == {IMPACT: len(ADDED)}
+    assert {IMPACT: len(ADDED)} == ADDED_FIELDS
 
 
 def test_an_impact_of_an_earlier_version_is_read(tmp_path: Path) -> None:
