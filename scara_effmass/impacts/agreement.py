@@ -444,12 +444,23 @@ def region_force(
 class _Compared(Protocol):
     """Forces [N] of an impact on body regions, and their limits: of `ValidatedImpact` and of its message."""
 
-    body_region: str
-    region_force: float
-    limit_force: float
-    held_region: str
-    held_force: float
-    held_limit: float
+    @property
+    def body_region(self) -> str: ...
+
+    @property
+    def region_force(self) -> float: ...
+
+    @property
+    def limit_force(self) -> float: ...
+
+    @property
+    def held_region(self) -> str: ...
+
+    @property
+    def held_force(self) -> float: ...
+
+    @property
+    def held_limit(self) -> float: ...
 
 
 def comparison_text(impact: _Compared) -> str:
