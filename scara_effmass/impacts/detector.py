@@ -144,6 +144,7 @@ class Detector:
     def __init__(self, settings: DetectionSettings) -> None:
         self._settings = settings
         self._rate = math.nan
+        self._tare_stamp_ns = 0
         self.left_out = LeftOuts()
         self.dropouts = self.glitches = self.sustained_contacts = self.tensile_pulses = 0
         self.settled = False

@@ -120,7 +120,6 @@ def _channel_status(channel: ForceChannel, detector: Detector, impacts: int) -> 
         "sustained contacts": detector.sustained_contacts,
         "tensile pulses": detector.tensile_pulses,
     }
-    values |= {
-        f"left out: {item.reason}": f"{item.occurrences}, up to {item.peak_force:.1f} N" for item in detector.left_out
-    }
+    for item in detector.left_out:
+        values[f"left out: {item.reason}"] = f"{item.occurrences}, up to {item.peak_force:.1f} N"
     return status(f"channel {channel.name}", f"{impacts} impacts", values, problem=problem, level=level)

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from scara_effmass.impacts.detector import Detector
 from scara_effmass.impacts.load import EARLIER_LOAD, LATER_LOAD, MAX_HELD_S, NO_BASELINE, SLOW_CHANGE, TENSION
 from scara_effmass.settings import DetectionSettings
-from scara_effmass.values import FloatArray
+from scara_effmass.values import BoolArray, FloatArray
 from test.impacts.conftest import Detect, MakeBlock
 
 CASES = Path(__file__).parents[1] / "recordings" / "contacts"
@@ -174,7 +173,7 @@ def test_a_tare_makes_the_load_the_zero(make_block: MakeBlock) -> None:
     assert [impact.load_force for impact in impacts] == [0.0, 0.0]
 
 
-def covered(impacts: Iterable[tuple[float, float]], time: FloatArray) -> NDArray[np.bool_]:
+def covered(impacts: Iterable[tuple[float, float]], time: FloatArray) -> BoolArray:
     mask = np.zeros(time.size, dtype=np.bool_)
     for begin, end in impacts:
         mask |= (time >= begin - 0.05) & (time <= end + 0.05)

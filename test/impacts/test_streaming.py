@@ -326,14 +326,17 @@ def test_a_push_is_no_impact_and_does_not_blind(detect: Detect, add_pulse: AddPu
     for force in (steady, hand):
         add_pulse(force, 50_000, 4e-3, 100.0)
     (push, *impacts), detector = detect(steady)
-    assert (push.onset_sample, push.held_force) == (pytest.approx(10_000, abs=2), pytest.approx(40.0, abs=0.5))
+    assert push.onset_sample == pytest.approx(10_000, abs=2)
+    assert push.held_force == pytest.approx(40.0, abs=0.5)
     assert [impact.onset_sample for impact in impacts] == pytest.approx([35_000, 50_000], abs=1)
     assert [impact.baseline for impact in impacts] == pytest.approx([40.0, 0.0], abs=0.1)
     assert [impact.load_force for impact in impacts] == pytest.approx([40.0, 0.0], abs=0.1)
     assert detector.sustained_contacts == 1
     (push, impact), detector = detect(hand)
-    assert (push.onset_sample, push.duration) == (pytest.approx(10_000, abs=2), pytest.approx(30_000 / RATE, rel=0.01))
-    assert (push.held_force, push.load_force) == (pytest.approx(60.0, abs=0.5), 0.0)
+    assert push.onset_sample == pytest.approx(10_000, abs=2)
+    assert push.duration == pytest.approx(30_000 / RATE, rel=0.01)
+    assert push.held_force == pytest.approx(60.0, abs=0.5)
+    assert push.load_force == 0.0
     assert impact.peak_force == pytest.approx(100.0, rel=0.005)
     assert detector.sustained_contacts == 1
 
