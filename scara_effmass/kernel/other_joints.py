@@ -10,7 +10,7 @@ import numpy as np
 from scara_effmass.kernel.admission import CONFIRMATION_NS, displacement
 from scara_effmass.kernel.jit import compiled
 from scara_effmass.kernel.records import IntArray
-from scara_effmass.values import FloatArray
+from scara_effmass.values import BoolArray, FloatArray
 
 NOT_MOVING = -1
 MAX_NAMES = 10_000
@@ -43,11 +43,8 @@ class OtherJoints:
         count = len(self.names)
         self._anchors, self._moved_ns = np.full(count, math.nan), np.zeros(count, np.int64)
         self._states, self.has_moved = np.zeros(count, np.int64), np.zeros(count, np.bool_)
-
-    @property
-    def is_moving(self) -> bool:
+        self.is_moving = False
         """Whether a joint moves, or moved in its last joint state."""
-        return bool(self._states.any())
 
     def numbers(self, names: list[str]) -> IntArray:
         """Return the numbers of the joints with these names."""
@@ -77,18 +74,19 @@ class OtherJoints:
         `numbers` (m,) are those of the joints that the joint states have besides those of the robot, `clocks` (N,) [ns]
         the times of arrival, `position` and `velocity` (N, m) are NaN where unknown.
         """
-        moving = np.flatnonzero(self._states)
-        elsewhere = moving[~np.isin(moving, numbers)] if len(moving) else moving
-        other = int(elsewhere[0]) if len(elsewhere) else NOT_MOVING
-        first = np.full(len(clocks), other, np.int64)
+        beside = self._moving_beside(numbers) if self.is_moving else NOT_MOVING
+        first = np.full(len(clocks), beside, np.int64)
+        moved = False
         if len(numbers):
-            limits = self.tolerance, self.max_speed
-            watch(clocks, position, velocity, numbers, self._anchors, self._moved_ns, self._states, *limits, first)
-        if (first == NOT_MOVING).all():
-            return None
-        self.has_moved |= self._states != RESTS
-        self.has_moved[first[first != NOT_MOVING]] = True
-        return first
+            limits, memory = (self.tolerance, self.max_speed), (self._anchors, self._moved_ns, self._states)
+            moved = watch(clocks, position, velocity, numbers, *memory, self.has_moved, *limits, first)
+            self.is_moving = beside != NOT_MOVING or bool(self._states[numbers].any())
+        return first if moved or beside != NOT_MOVING else None
+
+    def _moving_beside(self, numbers: IntArray) -> int:
+        """Return the number of a joint that moves and is none of `numbers`, NOT_MOVING if there is none."""
+        beside = np.setdiff1d(np.flatnonzero(self._states), numbers)
+        return int(beside[0]) if len(beside) else NOT_MOVING
 
 
 @compiled
@@ -100,14 +98,16 @@ def watch(
     anchors: FloatArray,
     moved_ns: IntArray,
     states: IntArray,
+    has_moved: BoolArray,
     tolerance: float,
     max_speed: float,
     first: IntArray,
-) -> None:
-    """Write in `first` (N,) the number of the first joint that moves, if one does; see `OtherJoints.watch`.
+) -> bool:
+    """Write in `first` (N,) the number of the first joint that moves, if one does; return whether one did.
 
     Positions are compared modulo 2 pi: a wheel may be wrapped, and no slide jumps by that much.
     """
+    moved = False
     for row in range(len(clocks)):
         is_found = False
         for column in range(len(numbers)):
@@ -123,8 +123,10 @@ def watch(
             if moves or not (has_position or has_velocity):
                 states[number] = MOVES if moves else UNSEEN
                 moved_ns[number] = clocks[row]
+                has_moved[number] = True
             elif not 0 <= clocks[row] - moved_ns[number] < CONFIRMATION_NS:
                 states[number] = RESTS
             if not is_found and states[number] != RESTS:
-                is_found = True
+                is_found = moved = True
                 first[row] = number
+    return moved

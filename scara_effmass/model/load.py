@@ -82,10 +82,11 @@ def build_robot(stated: RobotDescription, settings: MonitorSettings) -> Robot:
     tool_mass = _tool_mass(links, settings.tool_links, origin)
     if settings.moving_mass:
         _replace_masses(model, settings.moving_mass + tool_mass + stated.payload_mass)
-        check = InertialCheck("", "moving_mass is stated, so ISO's mass counts", "", ())
-    else:
-        check = _with_massless(check_inertials(links), model)
     load_notes = _add_payload(model, stated, settings)
+    if settings.moving_mass:
+        check = InertialCheck("", "moving_mass is stated, so ISO's mass counts", "", ())
+    else:  # a link without mass has one as soon as it carries a load
+        check = _with_massless(check_inertials(links), model)
     masses_reason = check.masses
     source = f"topic {settings.payload_topic}" if settings.payload_topic else "parameter payload_mass"
     payload = {

@@ -530,7 +530,7 @@ class Monitor:
         def of_others(values: FloatArray) -> FloatArray:
             if values.shape[-1] != len(names):
                 return np.full((len(clocks), len(columns)), math.nan)
-            return np.ascontiguousarray(values.reshape(len(clocks), -1)[:, columns])
+            return np.take(values, columns, axis=-1).reshape(len(clocks), len(columns))
 
         return self._others.watch(numbers, clocks, of_others(position), of_others(velocity))
 
