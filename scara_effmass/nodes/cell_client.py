@@ -31,8 +31,8 @@ _GRAPH_PERIOD_NS = 250_000_000
 _LATEST = topics.Qos(1, reliable=False)
 _RARE = topics.Qos(200)
 _MAX_DEADLINE_NS = 3_600_000_000_000
-_VALIDATION = Validation.__slots__[1:-1]
-"""Fields of the impact, between the stamp and the series."""
+_VALIDATION = tuple(name for name in Validation.__slots__ if name not in {"stamp_ns", "series"})
+"""Fields of the impact, but for the stamp and the series."""
 
 Take = Callable[[Any, int], None]
 OnDecision = Callable[[Decision], None]
