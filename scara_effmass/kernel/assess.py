@@ -354,6 +354,6 @@ def assess_states(
         for j in range(setup.joints):
             work.qd[j], work.errors[j] = motions[i, 1, j], motions[i, 4, j]
         fill_dynamics(motions[i, 0], setup, work)
-        age = states[i].age + setup.reaction_time
+        age = max(0.0, states[i].age) + setup.reaction_time  # a stamp may lead the clock
         for p in range(len(points)):
             assess_point(setup, cases, work, points[p], motions[i], age, contacts[i, p, 0])

@@ -154,7 +154,7 @@ class ContactAssessor:
         self.masses[ModelCode.ISO] = self.iso_mass
         acceleration = self._acceleration(None)
         along = 0.0 if self.direction is None else float(self.direction @ (acceleration.shown + acceleration.held))
-        time = self.joint_acceleration.age + self.settings.reaction_time
+        time = max(0.0, self.joint_acceleration.age) + self.settings.reaction_time  # a stamp may lead the clock
         self.speed_tolerance += time * (max(0.0, along) + acceleration.error)
 
     def _acceleration(self, code: ModelCode | None) -> Acceleration:
