@@ -111,11 +111,11 @@ def push_force(case: Case, drives: Drives, setup: Setup) -> float:
 
 @inlined
 def push_bound(case: Case, mobilities: Sequence[Mobility], drives: Drives, setup: Setup) -> Bound:
-    """Return the bound of free joints and the push of the drives."""
+    """Return the bound of free joints and the push of the drives; an infinite push bounds nothing."""
     force = push_force(case, drives, setup)
     rest = case.force * (case.force - 2.0 * force)
     if rest <= 0.0:
-        return Bound(0.0, 0.0, 0.0, force, 0.0, 0.0)
+        return Bound(0.0 if force < math.inf else -math.inf, 0.0, 0.0, force, 0.0, 0.0)
     least = NO_BOUND
     for k in range(len(mobilities)):
         bound = free_bound(case, mobilities[k], setup.mass_factor, case.stiffness / rest)
@@ -201,7 +201,7 @@ def person_push_bound(case: Case, count: int, drives: Drives, setup: Setup, work
     force = push_force(case, drives, setup)
     rest = case.force * (case.force - 2.0 * force)
     if not rest > 0.0:
-        return Bound(-person.speed, 0.0, 0.0, force, 0.0, 0.0)
+        return Bound(-person.speed if force < math.inf else -math.inf, 0.0, 0.0, force, 0.0, 0.0)
     least, person = NO_BOUND, Person(person.has_direction, person.speed, person.robot_speed, accelerates=False)
     for k in range(count):
         rate, alpha = case.stiffness / rest, case.obstacle_mobility

@@ -88,13 +88,14 @@ def _pushed(
 ) -> SpeedLimit:
     """Return the bound F = P + sqrt(P^2 + k mu u^2) of free joints and the push P; 0 from 2 P = F on.
 
-    The push contains what accelerates the robot.
+    The push contains what accelerates the robot. An infinite one bounds nothing: its speed is minus infinity.
     """
     mobilities = [replace(mobility, acceleration=NO_ACCELERATION) for mobility in mobilities]
     force = push.force(case.obstacle_mobility)
     square = case.force * (case.force - 2.0 * force)
     if not square > 0.0:
-        return SpeedLimit(-person.speed if person else 0.0, case.limit, 0.0, case.stiffness, force)
+        at_rest = -person.speed if person else 0.0
+        return SpeedLimit(at_rest if force < math.inf else -math.inf, case.limit, 0.0, case.stiffness, force)
     free = ((case.obstacle_mobility, 1.0),)
     if person is not None:
         found = min((_of_mobility(case, m, free, math.sqrt(square), person) for m in mobilities), key=_speed)

@@ -893,3 +893,17 @@ def test_scaling_at_rest_is_zero_if_nothing_is_allowed(scara: RobotDynamics) -> 
     (contact,) = decision.contacts
     assert (contact.verdict, contact.speed) == (Verdict.VIOLATION, 0.0)
     assert decision.speed_scaling == 0.0
+
+
+@pytest.mark.parametrize("person_speed", [0.0, 1.0])
+@pytest.mark.parametrize("use_reference", [False, True])
+def test_force_is_finite_where_the_acceleration_leaves_no_speed(
+    scara: RobotDynamics, person_speed: float, *, use_reference: bool
+) -> None:
+    """An infinite one, as of drives without effort limits, makes a message that consumers refuse."""
+    settings = MonitorSettings(person_speed=person_speed)
+    monitor = Monitor(scara, settings, use_reference=use_reference)
+    q, qd, qdd = np.array([[0.3, 1.2, 0.1, 0.2]]), np.array([[0.5, 0.4, 0.0, 0.0]]), np.array([[40.0, 30.0, 0.0, 0.0]])
+    for contact in monitor.assess_configurations(q, qd, qdd).decision(0).contacts:
+        assert (contact.verdict, contact.allowable_speed) == (Verdict.VIOLATION, 0.0)
+        assert 140.0 < contact.force_bound < math.inf
