@@ -296,8 +296,9 @@ def test_live_equals_offline_bit_for_bit(new_harness: Callable[..., NodeHarness]
         fields = {"position": q.tolist(), "velocity": velocity.tolist()}
         sent = joint_state(stamp, **{**fields, **(invalid[i // 11 % len(invalid)] if i % 11 == 10 else {})})
         live = harness.response_to(sent)
+        now_ns = stamp + round(live.message.input_age * 1e9)  # the acceleration counts for the age
         decision = offline.assess(
-            JointState(stamp, tuple(sent.name), np.array(sent.position), np.array(sent.velocity)), stamp
+            JointState(stamp, tuple(sent.name), np.array(sent.position), np.array(sent.velocity)), now_ns
         )
         assert decision is not None
         if i >= 10:  # the joint states that found the node no longer matter
