@@ -38,10 +38,10 @@ setup: .venv/.installed  ## make .venv: what the demo needs, the messages, the c
 demo: setup  ## run all nodes on the simulated cell and write a report
 	$(BIN)/scara-effmass demo --force
 
-test: .venv/.caches lint  ## run lint, types and all tests
+test: .venv/.kernel .venv/.caches lint  ## run lint, types and all tests
 	$(PYTEST)
 
-check: .venv/.caches lint  ## run lint, types and the tests without DDS and processes
+check: .venv/.kernel .venv/.caches lint  ## run lint, types and the tests without DDS and processes
 	$(PYTEST) -m "not live"
 
 lint: .venv/.test  ## run ruff and mypy
@@ -122,6 +122,10 @@ clean:  ## remove all generated files
 	@find scara_effmass -name '*.py' | sort > $@.new
 	@cmp -s $@.new $@ && rm $@.new || mv $@.new $@
 FORCE:
+
+# Else each test process compiles a kernel whose sources have changed since the installation.
+.venv/.kernel: .venv/.test $(wildcard $(patsubst %,scara_effmass/%/*.py,kernel iso15066 reference))
+	@PYTHONPATH=. $(BIN)/python scripts/compile_kernel.py && touch $@
 
 # What mypy and pytest compile once, at the same time: else one core waits for mypy, and then each test process compiles
 # all tests.
