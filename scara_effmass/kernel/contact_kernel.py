@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from scara_effmass.iso15066 import ContactCase, Limit, contact_cases
-from scara_effmass.iso15066.contact import amplification
 from scara_effmass.kernel.assess import assess_states
 from scara_effmass.kernel.codes import MODELS, NORMALS, Normal
 from scara_effmass.kernel.records import (
@@ -97,7 +96,7 @@ class ContactKernel:
             speed_threshold=settings.speed_threshold,
             max_acceleration=settings.max_acceleration,
             reaction_time=settings.reaction_time,
-            amplification=amplification(settings.contact_damping, settings.contact_friction),
+            amplification=cases[0].amplification,
             person_speed=settings.person_speed,
             speed_uncertainty=settings.speed_uncertainty,
             warn_ratio=settings.warn_ratio,

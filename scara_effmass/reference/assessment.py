@@ -16,7 +16,7 @@ import numpy as np
 
 from scara_effmass.codes import CriterionCode, ModelCode, ModelReason, NoLumpedMass, Reason
 from scara_effmass.iso15066.allowable_speed import MIN_EFFECTIVE_MASS, ContactCase, SpeedLimit, contact_cases
-from scara_effmass.iso15066.contact import amplification, peak_force, reduced_mass, transferred_energy
+from scara_effmass.iso15066.contact import peak_force, reduced_mass, transferred_energy
 from scara_effmass.iso15066.limits import Limit
 from scara_effmass.model.lumping import is_scara, lumped_suffices
 from scara_effmass.reference.dynamics import RobotDynamics
@@ -410,8 +410,7 @@ class ContactAssessor:
         result.worst_normal_reduced_mass = min(max(worst_mus), cap)
         result.predicted_force = peak_force(speed + settings.person_speed, mu, limit.stiffness_n_m)
         result.contact_energy = transferred_energy(speed + settings.person_speed, mu)  # Eqs. 31-33
-        amplified = amplification(settings.contact_damping, settings.contact_friction)
-        result.force_bound = amplified * found.force(speed * self._share + closing_speed, cap)
+        result.force_bound = self.cases[0].amplification * found.force(speed * self._share + closing_speed, cap)
         result.allowable_speed = max(0.0, nominal_speed)
         self._judge(result, mass, nominal_speed, found.allowable_speed)
         if settings.drives is Drives.SERVO:  # it pushes no further than its reference moves on
