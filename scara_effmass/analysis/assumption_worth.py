@@ -69,7 +69,9 @@ def worth_of(settings: MonitorSettings, dynamics: RobotDynamics, assumptions: As
         if change is not None:
             try:
                 changed = MonitorSettings.model_validate({**settings.model_dump(), **change(settings, dynamics)})
-                speed = _mean_speed(changed, RobotDynamics(load_robot(settings=changed)))
+                same_robot = (changed.armature, changed.payload) == (settings.armature, settings.payload)
+                robot = dynamics if same_robot else RobotDynamics(load_robot(settings=changed))
+                speed = _mean_speed(changed, robot)
             except (EffmassError, ValueError):  # another statement of the settings rules this value out
                 speed = None
         rows.append(Worth(name_of(code), status, other, None if speed is None else speed - usual))

@@ -113,6 +113,7 @@ class Monitor:
         self._why_reference = "use_reference" if use_reference else too_large(robot)
         self.kernel_fault = ""
         """Where the kernel disagreed with the reference, which works alone since then; empty if nowhere."""
+        self._max_qdd = max_joint_accelerations(settings.max_joint_acceleration, robot.joint_names)
         self._adapter = JointStateAdapter(robot.joint_names, settings, robot.periods, robot.held)
         self._others, self._other_places = OtherJoints(), dict[tuple[str, ...], tuple[IntArray, IntArray]]()
         self._rules, self._memory = np.zeros(1, RULES), np.zeros(1, MEMORY)
@@ -166,7 +167,6 @@ class Monitor:
         """Return the limits of `settings`. Raises LimitError or RobotError for what `apply` refuses."""
         if settings.payload != self.settings.payload:
             self.dynamics.robot.rebuild(settings)
-        max_joint_accelerations(settings.max_joint_acceleration, self.dynamics.robot.joint_names)
         self.dynamics.frame_index(settings.contact_normal_frame, "contact_normal_frame")
         self.dynamics.frame_index(settings.test_direction_frame, "test_direction_frame")
         self.dynamics.frame_index(settings.person_direction_frame, "person_direction_frame")
@@ -179,7 +179,6 @@ class Monitor:
             self.dynamics = self.dynamics.with_payload(settings)
         self.settings, self._limits = settings, limits
         self._adapter.apply(settings)
-        self._max_qdd = max_joint_accelerations(settings.max_joint_acceleration, self.dynamics.robot.joint_names)
         self._use_dynamics()
         robot, rules, joints = self.dynamics.robot, self._rules, self._joints
         rules["timeout_ns"] = round(settings.timeout * NANOSECONDS)
