@@ -180,19 +180,17 @@ def _sometimes(rng: np.random.Generator, largest: float) -> float:
 def _starts(impact: Impact, creep: FloatArray, rng: np.random.Generator) -> dict[str, Start]:
     """Return the start of the impact with each setting, for the motion `creep` (n,); empty to draw again."""
     arm, q, limit, point = arm_of(impact.robot), impact.q, impact.limit, impact.point
-    directions, starts = rng.normal(size=(2, 3)), {}
+    series, starts = int(rng.integers(2**32)), {}
     for name, settings in impact.settings.items():
         qd = arm.allowed(q, creep, settings, point, impact.qdd)
         if qd is None or (name == "default" and not qd.any()):
             return {}
-        moving = qd if qd.any() else creep
+        moving, same = qd if qd.any() else creep, np.random.default_rng(series)  # the same directions for each setting
+        direction = same.normal(size=3)
+        person = impact.person_speed * direction / np.linalg.norm(direction)
         if impact.plate == "worst":
             person = arm.sim.worst_person(q, moving, limit, impact.person_speed, point)
-            normal = arm.sim.worst_normal(q, moving, limit, impact.pushing, point, person)
-        else:
-            person = impact.person_speed * directions[0] / np.linalg.norm(directions[0])
-            closing = float(directions[1] @ (arm.sim.kinematics(q, point)[0] @ moving - person))
-            normal = directions[1] * (np.sign(closing) / np.linalg.norm(directions[1]))
+        normal = arm.plate_normal(impact.plate, q, moving, limit, same, impact.pushing, point, person)
         starts[name] = Start(qd, person, normal)
     return starts
 
