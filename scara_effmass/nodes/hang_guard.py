@@ -28,23 +28,24 @@ class HangGuard:
     """
 
     def __init__(self, timeout_s: float, line: str) -> None:
-        """Start the guard."""
+        self._timeout_s, self._line = timeout_s, line
+        self._pipe = -1
+
+    def beat(self) -> None:
+        """State that the process is at work."""
+        with suppress(OSError):  # the guard has not started, or someone has stopped or ended it
+            os.write(self._pipe, b".")
+
+    def __enter__(self) -> Self:
         reader, self._pipe = os.pipe()
         os.set_blocking(self._pipe, False)
         self._child = subprocess.Popen(  # noqa: S603 - this file
-            [sys.executable, "-I", "-S", __file__, str(os.getpid()), str(timeout_s), line],
+            [sys.executable, "-I", "-S", __file__, str(os.getpid()), str(self._timeout_s), self._line],
             stdin=reader,
             stdout=subprocess.DEVNULL,
             start_new_session=True,  # no Ctrl-C of the terminal
         )
         os.close(reader)
-
-    def beat(self) -> None:
-        """State that the process is at work."""
-        with suppress(OSError):  # someone has stopped or ended the guard
-            os.write(self._pipe, b".")
-
-    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:

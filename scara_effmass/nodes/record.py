@@ -131,10 +131,9 @@ def _guarded_recorder(
 
     rest = f"what it has saved is complete after: record --repair {folder}"
     line = f"{folder}: the recorder has stood still for {timeout_s:g} s and is killed; {rest}"
-    with (
-        HangGuard(timeout_s, line) as guard,
-        BagRecorder(folder, options, overwrite=overwrite, warn=warn, progress=beat) as recorder,
-    ):
+    guard = HangGuard(timeout_s, line)
+    recorder = BagRecorder(folder, options, overwrite=overwrite, warn=warn, progress=beat)  # may refuse the folder
+    with guard, recorder:
         yield recorder, tick
 
 
