@@ -172,8 +172,8 @@ def scope(robot: Robot, settings: MonitorSettings) -> str:
     text = f"slower than the allowable speed at {points}, for {person} and a load of {robot.payload_text}"
     text += f"; not watched: the links behind {', '.join(others)}" if others else ""
     ignored = [*settings.ignored_joints, *(joint.name for joint in robot.held if joint.is_harmless)]
-    text += f"; motion does not count of {', '.join(ignored)}" if ignored else ""
-    return f"{text}; robot {robot.name} ({Path(robot.origin).name})"
+    text += f"; robot {robot.name} ({Path(robot.origin).name})"
+    return f"{text}; motion does not count of {', '.join(ignored)}" if ignored else text
 
 
 def deciding_mass(dynamics: RobotDynamics, model: MassModel) -> str:

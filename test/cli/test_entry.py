@@ -88,7 +88,18 @@ def test_missing_command_prints_the_help_and_exits_with_2(capsys: pytest.Capture
 
 
 TOUR = str(share("bags", "tour"))
-NO_OUTPUT = {*NODES, "completion", "dashboard", "doctor", "foxglove", "limits", "protocol schema", "replay", "watch"}
+NO_OUTPUT = {
+    *NODES,
+    "completion",
+    "dashboard",
+    "doctor",
+    "foxglove",
+    "impacts",
+    "limits",
+    "protocol schema",
+    "replay",
+    "watch",
+}
 ROBOT = str(share("config", "omron_i4_550l.yaml"))
 
 REFUSALS: dict[str, tuple[list[str], str]] = {

@@ -210,7 +210,7 @@ def test_a_signal_some_samples_shorter_has_the_same_impacts(
 ) -> None:
     force = impacts_and_presses(rate, seed)
     whole, detector = detect(force, rate)
-    assert (len(whole), detector.sustained_contacts) == (PRESSES, PRESSES)
+    assert (len(whole), detector.sustained_contacts) == (2 * PRESSES, PRESSES)  # the presses are contacts, too
     shorter, _ = detect(force[at_start : force.size - at_end], rate)
     assert_same(whole, shorter, at_start)
 

@@ -58,10 +58,6 @@ def test_missing_library_is_named_with_its_extra(tmp_path: Path, monkeypatch: py
 
 
 class TestFile:
-    @pytest.fixture(autouse=True)
-    def library(self) -> None:
-        pytest.importorskip("lvm_read")
-
     @pytest.mark.parametrize("mark", [".", ","])
     @pytest.mark.parametrize("columns", ["No", "One"])
     def test_times_unit_and_values(self, tmp_path: Path, mark: str, columns: str) -> None:

@@ -114,6 +114,8 @@ def test_stated_mass_gives_the_mass_of_iso(model: str) -> None:
             "payload_mass": 2.0,
             "effective_mass_model": model,
             "accept_assumptions": ("rotor_inertia", "contact_area", "person_speed", "contact_points", "acceleration"),
+            "contact_damping": 0.0,
+            "contact_friction": 0.0,
         }
     )
     robot = build_robot(parse_urdf(f'<robot name="r">{"".join(BARE)}</robot>', "r.urdf", settings), settings)
