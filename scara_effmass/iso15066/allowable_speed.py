@@ -110,8 +110,15 @@ class ContactCase:
 
 
 def max_speed(speed: float, growth: float) -> float:
-    """Return v [m/s] with v (1 + growth v) = `speed`; a speed of at most 0 itself, whatever the growth [s/m]."""
-    return 2.0 * speed / (1.0 + math.sqrt(1.0 + 4.0 * growth * speed)) if 0.0 < speed < math.inf else speed
+    """Return v [m/s] with v (1 + growth v) = `speed`, with the `growth` [s/m].
+
+    A speed below 0 is none; of two equal ones that of the larger growth is the lower one.
+    """
+    if not math.isfinite(speed):
+        return speed
+    if speed < 0.0:
+        return speed * (1.0 - growth * speed)
+    return 2.0 * speed / (1.0 + math.sqrt(1.0 + 4.0 * growth * speed))
 
 
 def contact_cases(limits: Iterable[Limit], settings: MonitorSettings | None = None) -> tuple[ContactCase, ...]:

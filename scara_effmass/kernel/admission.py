@@ -37,6 +37,8 @@ from scara_effmass.values import FloatArray
 NANOSECONDS = 1_000_000_000
 FAST_S, SLOW_S = 0.02, 0.06
 """Time constants [s] of the acceleration, and of the one that tells its error."""
+MAX_ERROR = 3.0
+"""Largest error of an acceleration over it: one that begins at rest has 2/3, and one that turns starts from 0."""
 CONFIRMATION_NS = NANOSECONDS // 10
 """Time for which a joint must keep its position before its velocity of exactly zero is accepted."""
 WINDOW_S = 0.7
@@ -258,7 +260,7 @@ def check(  # noqa: C901, PLR0911 - one check after the other
         motion[3, i] = joints[i].fast_acceleration if motion[1, i] != 0.0 else 0.0
         change = joints[i].fast_acceleration - joints[i].slow_acceleration
         is_rising = change * motion[3, i] > 0.0 and motion[1, i] * motion[3, i] > 0.0
-        motion[4, i] = abs(change) if is_rising else 0.0
+        motion[4, i] = min(abs(change), MAX_ERROR * abs(motion[3, i])) if is_rising else 0.0
     elapsed_ns = state.stamp_ns - previous_ns
     if given == Reason.NONE and previous_ns != 0 and elapsed_ns > rules.timeout_ns:
         set_reason(state.reason, Reason.GAP, 0, elapsed_ns / 1e9, 0.0, 0.0)

@@ -70,6 +70,8 @@ def bound_of(
     speed = 1.0 / math.sqrt(inverse_square) - gained
     if speed > 0.0:
         speed = 2.0 * speed / (1.0 + math.sqrt(1.0 + 4.0 * growing * speed))
+    elif speed > -math.inf:
+        speed *= 1.0 - growing * speed
     return Bound(speed, mu, growing, 0.0, 0.0, gained)
 
 
@@ -155,7 +157,8 @@ def governing_case(
             rate *= excess * excess
         for k in range(len(mobilities)):
             speed = slowest.speed * (1.0 + work.growths[k] * max(0.0, slowest.speed)) + work.gains[k]
-            if not (speed <= 0.0 or min(work.max_masses[k], case.body_mass) * rate * speed * speed <= 1.0):
+            no_slower = speed <= 0.0 or min(work.max_masses[k], case.body_mass) * rate * speed * speed <= 1.0
+            if not no_slower or slowest.speed < 0.0:  # `speed` may be NaN, and bounds no negative one
                 other = case_bound(case, mobilities[k], factor, rate)
                 if other.speed < bound.speed:
                     bound = other
