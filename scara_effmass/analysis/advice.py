@@ -2,9 +2,9 @@
 """Advise a speed factor for each segment of a recorded path, such that no state exceeds its allowable speed.
 
 A factor scales all joint velocities, so directions and masses along the path stay the same. The allowable speed still
-depends on the speed a little, through the change of pose and the tolerance of the velocities. The factors are therefore
-iterated, and the re-timed motion is assessed as the monitor does it. Between segments the factor changes no faster than
-the largest recorded acceleration of each joint allows: for the factor s and x = s^2 over the path time t,
+depends on the speed, through accelerations, the change of pose and the tolerance of the velocities. The factors are
+therefore iterated, and the re-timed motion is assessed as the monitor does it. Between segments the factor changes no
+faster than the largest recorded acceleration of each joint allows: for the factor s and x = s^2 over the path time t,
 q'' = x q''_rec + x' q'_rec / 2.
 """
 
@@ -22,7 +22,7 @@ from scara_effmass.cell.scaled_trajectory import ScaledTrajectory
 from scara_effmass.errors import BagError
 from scara_effmass.values import ContactAssessment, Decision, FloatArray, JointState, Verdict
 
-ITERATIONS = 30
+ITERATIONS = 60
 PRECISION = 0.99
 """Minimum ratio of an accepted factor to the smallest factor that is known to be too large."""
 MIN_FACTOR = 0.02
@@ -161,8 +161,9 @@ def advise(
             break
         # The next factor follows from the allowable speed if it lies between the bounds, else it is their mean.
         guess = factors * change * (1.0 - 1e-4)
-        mean = np.sqrt(np.maximum(good, 0.2 * bad) * np.minimum(bad, 1.0))
-        factors = np.where(is_found, good, np.where((guess > good) & (guess < PRECISION * bad), guess, mean))
+        least = np.maximum(good, 0.2 * bad)  # a slower motion accelerates less, which allows more speed
+        mean = np.sqrt(least * np.minimum(bad, 1.0))
+        factors = np.where(is_found, good, np.where((guess > least) & (guess < PRECISION * bad), guess, mean))
         factors = np.where((change < 0.0) | (factors < MIN_FACTOR), np.nan, np.minimum(factors, 1.0))
         if np.isnan(factors).any():
             states = []

@@ -13,7 +13,7 @@ from scara_effmass.errors import BagError
 from scara_effmass.model.load import load_robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
-from scara_effmass.settings import Drives, MonitorSettings
+from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
 from scara_effmass.sim.motion import sample_moves
 from scara_effmass.studies.shipped_bags import tour_moves
@@ -21,8 +21,6 @@ from scara_effmass.values import Decision, FloatArray, JointState, Verdict
 
 JOINTS = ("joint1", "joint2", "joint3", "joint4")
 SETTINGS = MonitorSettings(contact_points=("tool",), release_time=0.0)
-FREE = SETTINGS.model_copy(update={"drives": Drives.FREE})
-"""With drives that push on, a state in which the point turns back allows no speed by itself."""
 RATE_HZ = 50
 REST = SETTINGS.speed_threshold
 
@@ -67,7 +65,7 @@ def verdicts(decisions: Iterable[Decision]) -> set[Verdict]:
 
 @pytest.mark.parametrize("count", [None, 7, 0])
 def test_advised_motion_has_no_violation(dynamics: RobotDynamics, motion: Motion, count: int | None) -> None:
-    judge = Judge(dynamics, FREE if count == 0 else SETTINGS)
+    judge = Judge(dynamics)
     assert Verdict.VIOLATION in verdicts(judge(motion.states))
     advice = judge.advise(motion, count)
     assert Verdict.VIOLATION not in verdicts(judge(advice.states))
@@ -99,7 +97,7 @@ def test_no_segment_is_slower_than_needed(dynamics: RobotDynamics, motion: Motio
 
 
 def test_finer_segments_are_faster_and_each_state_by_itself_is_fastest(dynamics: RobotDynamics, motion: Motion) -> None:
-    durations = [Judge(dynamics, FREE).advise(motion, count).times(motion)[1].sum() for count in (1, 5, 0)]
+    durations = [Judge(dynamics).advise(motion, count).times(motion)[1].sum() for count in (1, 5, 0)]
     assert durations[0] > durations[1] > durations[2] > 1.0
 
 
