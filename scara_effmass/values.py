@@ -381,7 +381,8 @@ class RefusedImpact(NamedTuple):
     """One impact left out of the series.
 
     `excluded`: because of the impact itself; otherwise it could not be matched with the robot's state. `reason` is the
-    category by which such impacts are counted, `detail` describes this one and may be empty.
+    category by which such impacts are counted, `detail` describes this one and may be empty. `speed` [m/s] is that of a
+    press at its onset, 0 if it is not known.
     """
 
     stamp_ns: int
@@ -390,6 +391,8 @@ class RefusedImpact(NamedTuple):
     reason: str
     detail: str
     held_force: float = 0.0
+    speed: float = 0.0
+    simulated: bool = False
 
 
 class RunInfo(NamedTuple):

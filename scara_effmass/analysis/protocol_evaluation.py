@@ -7,10 +7,11 @@ The verdict on a test point is OK only if nothing is missing and nothing is doub
 import math
 import os
 from base64 import b64encode
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import datetime, timezone
 from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -42,9 +43,10 @@ from scara_effmass.impacts.agreement import region_force
 from scara_effmass.input_files import digest
 from scara_effmass.iso15066 import TABLE_HASH, TRANSIENT_S, Limit, limits_for
 from scara_effmass.settings import ContactType, ImportSettings, MonitorSettings
-from scara_effmass.values import ValidatedImpact, Verdict, at_least
+from scara_effmass.values import RefusedImpact, ValidatedImpact, Verdict, at_least
 
 RECORD = "report.json"
+Contact = ValidatedImpact | RefusedImpact
 PHOTO_TYPES = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg", ".webp": "webp", ".gif": "gif"}
 MAX_PHOTO_BYTES = 10_000_000
 """Size up to which a page holds a photo."""
@@ -58,52 +60,64 @@ STIFFNESS_TOLERANCE = 0.1
 """Largest relative difference of stiffness with which a device stands for the body region."""
 
 
-def repetitions(validation: Validation, settings: ImportSettings, folder: Path) -> tuple[Repetition, ...]:
-    """Return the contacts of `validation`; paths are relative to `folder`. Raises BagError if there is none."""
-    contacts = tuple(item for recording in validation.recordings for item in _repetitions(recording, settings, folder))
+def repetitions(
+    validation: Validation, settings: ImportSettings, folder: Path, *, presses: bool = False
+) -> tuple[Repetition, ...]:
+    """Return the contacts of `validation`, those that are a press only with `presses`; paths are relative to `folder`.
+
+    Raises BagError if there is none.
+    """
+    contacts: list[Repetition] = []
+    for recording in validation.recordings:
+        found = [*recording.impacts, *(recording.presses if presses else ())]
+        contacts += _repetitions(recording, sorted(found, key=attrgetter("stamp_ns")), settings, folder)
     if not contacts:
         left_out = {**validation.result.excluded, **validation.result.unpaired}
         reasons = "; ".join(f"{count}: {reason}" for reason, count in left_out.items())
         names = ", ".join(str(recording.path) for recording in validation.recordings)
         raise BagError(f"{names}: no contact ({reasons})" if reasons else f"{names}: no contact")
-    return contacts
+    return tuple(contacts)
 
 
-def _repetitions(recording: ValidatedRecording, settings: ImportSettings, folder: Path) -> Iterator[Repetition]:
+def _repetitions(
+    recording: ValidatedRecording, contacts: Sequence[Contact], settings: ImportSettings, folder: Path
+) -> Iterator[Repetition]:
     path = recording.files[-1]
     raw = {
         "raw_data": os.path.relpath(path.resolve(), folder.resolve()),
         "raw_sha256": digest(path, BagError),
         "raw_offset_s": recording.force_offset if recording.force_clock else None,
     }
-    for impact, trace in zip(recording.impacts, recording.force_traces(settings, MAX_CONTACT_S), strict=True):
-        yield _repetition(impact, trace).model_copy(update=raw)
+    for contact, trace in zip(contacts, recording.force_traces(contacts, settings, MAX_CONTACT_S), strict=True):
+        yield _repetition(contact, trace).model_copy(update=raw)
 
 
-def _repetition(impact: ValidatedImpact, trace: ForceTrace) -> Repetition:
+def _repetition(contact: Contact, trace: ForceTrace) -> Repetition:
     """Return one contact; without force blocks, or with samples lost or saturated after it, only its peak is known."""
 
     def rounded(value: float) -> float:
         return float(f"{value:.6g}")
 
-    peak, beyond = impact.measured_force, None
+    is_press = isinstance(contact, RefusedImpact)
+    measured = contact.peak_force if is_press else contact.measured_force
+    peak, beyond = measured, None
     if trace.complete and trace.time.size and trace.time[-1] > 0.0:
         is_early = trace.time <= TRANSIENT_S
         early, late = trace.force[is_early], trace.force[~is_early]
         if late.size:
             # The interpolated peak of an impact may lie between two samples.
-            peak = max(float(early.max()), impact.measured_force if late.max() < early.max() else 0.0)
+            peak = max(float(early.max()), measured if late.max() < early.max() else 0.0)
             beyond = rounded(max(float(late.max()), 0.0))
     return Repetition(
-        time=datetime.fromtimestamp(impact.stamp_ns / 1e9, timezone.utc).astimezone(),  # the local day is the test date
-        reached_speed_m_s=rounded(impact.speed),
+        time=datetime.fromtimestamp(contact.stamp_ns / 1e9, timezone.utc).astimezone(),  # the local day: the test date
+        reached_speed_m_s=rounded(contact.speed) or None,
         transient_peak_n=rounded(peak),
         force_beyond_0_5_s_n=beyond,
         duration_s=trace.duration and rounded(trace.duration),
-        effective_mass_kg=rounded(impact.effective_mass),
-        reduced_mass_kg=rounded(impact.reduced_mass),
-        predicted_force_n=rounded(impact.predicted_force),
-        simulated=impact.simulated,
+        effective_mass_kg=None if is_press else rounded(contact.effective_mass),
+        reduced_mass_kg=None if is_press else rounded(contact.reduced_mass),
+        predicted_force_n=None if is_press else rounded(contact.predicted_force),
+        simulated=contact.simulated,
     )
 
 

@@ -31,7 +31,7 @@ from scara_effmass.bags.bag import run_infos as stored_run_infos
 from scara_effmass.bags.files import open_bag
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.impacts.detector import Detector
-from scara_effmass.impacts.impact_matcher import check_run_info
+from scara_effmass.impacts.impact_matcher import PRESS, check_run_info
 from scara_effmass.impacts.state_history import recording_offset
 from scara_effmass.impacts.validator import Result, Validator
 from scara_effmass.safety import Monitor
@@ -99,9 +99,16 @@ class ValidatedRecording:
         """The recording, and the file of the force if it is another one: the last is that of the force."""
         return (self.path, Path(self.force_topic)) if self.force_clock else (self.path,)
 
-    def force_traces(self, settings: ImportSettings, after_s: float) -> list[ForceTrace]:
-        """Return the force of each impact, up to `after_s` after its onset. Raises BagError."""
-        onsets = [impact.stamp_ns for impact in self.impacts]
+    @property
+    def presses(self) -> list[RefusedImpact]:
+        """The contacts without an impact, whose force stayed."""
+        return [impact for impact in self.refused if impact.reason == PRESS]
+
+    def force_traces(
+        self, contacts: Sequence[ValidatedImpact | RefusedImpact], settings: ImportSettings, after_s: float
+    ) -> list[ForceTrace]:
+        """Return the force of each of the `contacts` in order, up to `after_s` after its onset. Raises BagError."""
+        onsets = [contact.stamp_ns for contact in contacts]
         if self.force_clock:
             return file_traces(self.files[-1], settings, onsets, after_s, self.force_offset)
         return file_traces(self.path, settings.model_copy(update={"topic": self.force_topic}), onsets, after_s)

@@ -272,7 +272,9 @@ def _page(
     result = validation.result
     models = [model.model for model in result.models]
     predictions = [{item.model: item for item in impact.predictions} for impact in result.impacts]
-    traces = [trace for item in validation.recordings for trace in item.force_traces(settings.force, AFTER_S)]
+    traces = [
+        trace for item in validation.recordings for trace in item.force_traces(item.impacts, settings.force, AFTER_S)
+    ]
     stamps = sorted(impact.stamp_ns for impact in result.impacts)
     losses = [loss for trace in traces if (loss := trace.sampling_loss) is not None]
     return render(

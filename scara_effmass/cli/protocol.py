@@ -157,7 +157,8 @@ def _filled(args: argparse.Namespace, protocol: Protocol) -> Protocol:
     args.body_regions, args.contact = [test.point.body_region], test.point.contact
     args.contact_area_m2 = test.point.contact_area_m2
     settings = validation_settings(args)
-    if test.point.contact is ContactType.QUASI_STATIC:  # a held contact is to be one impact
+    is_held = test.point.contact is ContactType.QUASI_STATIC
+    if is_held:  # a held contact is to be one impact
         validator = override(settings.validator, {"impact_delay": 3.0 * MAX_CONTACT_S, "history": 6.0 * MAX_CONTACT_S})
         detection = override(settings.detection, {"longest": MAX_CONTACT_S})
         settings = replace(settings, validator=validator, detection=detection)
@@ -165,5 +166,5 @@ def _filled(args: argparse.Namespace, protocol: Protocol) -> Protocol:
     if test.point.contact_point in dynamics.contact_points:
         validator = override(settings.validator, {"contact_point": test.point.contact_point})
         settings = replace(settings, validator=validator)
-    contacts = repetitions(validated(args, settings), settings.force, args.protocol.parent)
+    contacts = repetitions(validated(args, settings), settings.force, args.protocol.parent, presses=is_held)
     return protocol.replaced(test.with_results(repetitions=contacts))

@@ -376,10 +376,10 @@ class Detector:
         if high - level > threshold:
             self.left_out.add(NO_BASELINE, high - level, stamp_ns)
 
-    def _lose_baseline(self, start: int) -> list[Impact]:
+    def _lose_baseline(self, start: int, *, at_rest: bool = False) -> list[Impact]:
         """Report the segment from `start`, and search for another baseline from here on."""
         sustained = self.sustained_contacts
-        contacts = self._classify(start, self._processed)
+        contacts = self._classify(start, self._processed, TRANSIENT_S if at_rest else self._settings.longest)
         if self._held is not None and not contacts:  # its load goes
             self._held.extend(self._buffer.samples(start, self._processed), start)
         goes_on = bool(contacts) and self._goes_on(contacts[-1], start)
@@ -431,7 +431,7 @@ class Detector:
         rate, length = self._buffer.block_at(start).sample_rate, self._processed - start
         margin = 3 * self._frame_size  # before the contact
         if level > self._baseline.threshold and length > TRANSIENT_S * rate + margin and self._is_at_rest():
-            return self._lose_baseline(start)
+            return self._lose_baseline(start, at_rest=True)
         return self._split(start) if length > self._settings.longest * rate + 2 * self._frame_size else []
 
     def _update_baseline(self, frame: Frame) -> None:
@@ -520,8 +520,11 @@ class Detector:
         self._end_slow()
         return impacts
 
-    def _classify(self, start: int, stop: int) -> list[DetectedContact]:
-        """Return the contacts in the samples [start, stop), and count what else is new in them."""
+    def _classify(self, start: int, stop: int, longest: float | None = None) -> list[DetectedContact]:
+        """Return the contacts in the samples [start, stop), and count what else is new in them.
+
+        A load that swings for `longest` [s], by default that of the settings, is one contact.
+        """
         buffer, rate = self._buffer, self._buffer.block_at(start).sample_rate
         samples, saturated = buffer.samples(start, stop), buffer.saturated(start, stop)
         segment = classify(
@@ -530,7 +533,7 @@ class Detector:
             self._baseline,
             gap=max(round(GAP_TIME * rate), MIN_GAP_SAMPLES),
             margin=self._frame_size,
-            longest=round(self._settings.longest * rate),
+            longest=round((longest or self._settings.longest) * rate),
             transient=round(TRANSIENT_S * rate),
         )
         self.dropouts += int(np.count_nonzero(segment.dropouts + start >= self._counted))

@@ -251,8 +251,8 @@ class ImpactMatcher:
             self.clock.add_impact(impact, received_ns)
         self.waiting.append((impact, received_ns))
 
-    def refuse(self, impact: Impact, rejection: Rejection, *, excluded: bool = False) -> None:
-        """Record an impact that is left out of the series."""
+    def refuse(self, impact: Impact, rejection: Rejection, speed: float = 0.0, *, excluded: bool = False) -> None:
+        """Record an impact that is left out of the series, and its `speed` [m/s] if it is known."""
         self.refused.append(
             RefusedImpact(
                 stamp_ns=impact.stamp_ns,
@@ -261,6 +261,8 @@ class ImpactMatcher:
                 reason=rejection.reason,
                 detail=rejection.detail,
                 held_force=impact.held_force and impact.held_force + impact.load_force,
+                speed=speed,
+                simulated=impact.simulated,
             )
         )
 
@@ -268,10 +270,12 @@ class ImpactMatcher:
         """Yield in order the impacts that can be matched now. `flush`: no more states will arrive."""
         while self.waiting and (flush or self._ready(*self.waiting[0])):
             impact, received_ns = self.waiting.popleft()
-            if reason := _invalid_reason(impact):
-                self.refuse(impact, Rejection(reason), excluded=True)
+            reason, run = _invalid_reason(impact), self.runs.at(impact.stamp_ns)
+            if reason:
+                state = self._onset_state(impact, received_ns, run.normal) if reason == PRESS else Rejection("")
+                speed = 0.0 if isinstance(state, Rejection) else state.speed
+                self.refuse(impact, Rejection(reason), speed, excluded=True)
                 continue
-            run = self.runs.at(impact.stamp_ns)
             if self._settings.obstacle_fixed:
                 run = run._replace(obstacle_mass=math.inf)
             state = self._onset_state(impact, received_ns, run.normal)
