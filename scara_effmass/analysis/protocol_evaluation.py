@@ -46,7 +46,6 @@ from scara_effmass.settings import ContactType, ImportSettings, MonitorSettings
 from scara_effmass.values import RefusedImpact, ValidatedImpact, Verdict, at_least
 
 RECORD = "report.json"
-Contact = ValidatedImpact | RefusedImpact
 PHOTO_TYPES = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg", ".webp": "webp", ".gif": "gif"}
 MAX_PHOTO_BYTES = 10_000_000
 """Size up to which a page holds a photo."""
@@ -80,7 +79,10 @@ def repetitions(
 
 
 def _repetitions(
-    recording: ValidatedRecording, contacts: Sequence[Contact], settings: ImportSettings, folder: Path
+    recording: ValidatedRecording,
+    contacts: Sequence[ValidatedImpact | RefusedImpact],
+    settings: ImportSettings,
+    folder: Path,
 ) -> Iterator[Repetition]:
     path = recording.files[-1]
     raw = {
@@ -92,14 +94,22 @@ def _repetitions(
         yield _repetition(contact, trace).model_copy(update=raw)
 
 
-def _repetition(contact: Contact, trace: ForceTrace) -> Repetition:
+def _repetition(contact: ValidatedImpact | RefusedImpact, trace: ForceTrace) -> Repetition:
     """Return one contact; without force blocks, or with samples lost or saturated after it, only its peak is known."""
 
     def rounded(value: float) -> float:
         return float(f"{value:.6g}")
 
-    is_press = isinstance(contact, RefusedImpact)
-    measured = contact.peak_force if is_press else contact.measured_force
+    predicted: dict[str, float] = {}
+    if isinstance(contact, RefusedImpact):
+        measured = contact.peak_force
+    else:
+        measured = contact.measured_force
+        predicted = {
+            "effective_mass_kg": rounded(contact.effective_mass),
+            "reduced_mass_kg": rounded(contact.reduced_mass),
+            "predicted_force_n": rounded(contact.predicted_force),
+        }
     peak, beyond = measured, None
     if trace.complete and trace.time.size and trace.time[-1] > 0.0:
         is_early = trace.time <= TRANSIENT_S
@@ -114,10 +124,8 @@ def _repetition(contact: Contact, trace: ForceTrace) -> Repetition:
         transient_peak_n=rounded(peak),
         force_beyond_0_5_s_n=beyond,
         duration_s=trace.duration and rounded(trace.duration),
-        effective_mass_kg=None if is_press else rounded(contact.effective_mass),
-        reduced_mass_kg=None if is_press else rounded(contact.reduced_mass),
-        predicted_force_n=None if is_press else rounded(contact.predicted_force),
         simulated=contact.simulated,
+        **predicted,
     )
 
 

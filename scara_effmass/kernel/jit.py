@@ -2,7 +2,7 @@
 """numba compiles the functions of this room; with NUMBA_DISABLE_JIT=1 they stay plain Python, which takes far longer.
 
 What numba compiled is kept in a folder of its own, named by a hash of all sources of the kernel: numba looks only at
-the file of the function that is called, but the functions that it calls are compiled into it.
+path and time of the file of the function that is called, but the functions that it calls are compiled into it.
 """
 
 import hashlib
@@ -12,7 +12,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -65,27 +65,41 @@ def compiled(function: Function) -> Function:
     """Return `function` compiled at its first call, or loaded from the cache."""
     if numba is None:
         return function
-    if CACHE is None:
-        wrapped: Function = numba.njit(**OPTIONS)(function)
-        return wrapped
-    before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(CACHE)
-    try:
-        cached: Function = numba.njit(cache=True, **OPTIONS)(function)
-    finally:
-        numba.config.CACHE_DIR = before
-    _save_if_possible(cached)
-    return cached
+    wrapped: Any = numba.njit(**OPTIONS)(function)
+    if CACHE is not None:
+        wrapped._cache = _kernel_cache(function, CACHE)  # noqa: SLF001 - numba has no other handle
+    return cast(Function, wrapped)
 
 
-def _save_if_possible(function: Any) -> None:  # noqa: ANN401 - a dispatcher of numba
-    """Let a full disk cost the time to compile again, and not the call that compiled."""
-    save = function._cache.save_overload  # noqa: SLF001 - numba has no other handle
+def _kernel_cache(function: Function, folder: Path) -> Any:  # noqa: ANN401 - a cache of numba, which has no types
+    """Return a cache in `folder` that all installations of these sources share, and that need not save."""
+    caching = import_module("numba.core.caching")
 
-    def save_overload(*arguments: object) -> None:
-        with suppress(OSError):
-            save(*arguments)
+    class Locator(caching._CacheLocator):  # type: ignore[misc,name-defined]  # noqa: SLF001
+        def get_cache_path(self) -> str:
+            return str(folder)
 
-    function._cache.save_overload = save_overload  # noqa: SLF001
+        def get_source_stamp(self) -> str:
+            return folder.name
+
+        def get_disambiguator(self) -> str:
+            return str(function.__code__.co_firstlineno)
+
+        @classmethod
+        def from_function(cls, *_: object) -> Any:  # noqa: ANN401
+            return cls()
+
+    class Contents(caching.CompileResultCacheImpl):  # type: ignore[misc,name-defined]
+        _locator_classes = (Locator,)
+
+    class Cache(caching.FunctionCache):  # type: ignore[misc,name-defined]
+        _impl_class = Contents
+
+        def save_overload(self, *arguments: object) -> None:
+            with suppress(OSError):  # a full disk costs the time to compile again, and not the call that compiled
+                super().save_overload(*arguments)
+
+    return Cache(function)
 
 
 def inlined(function: Function) -> Function:

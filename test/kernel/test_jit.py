@@ -134,6 +134,19 @@ def test_several_processes_fill_one_folder_at_once_and_later_ones_load_it(tmp_pa
 
 
 @pytest.mark.live
+def test_installations_of_the_same_sources_share_what_was_compiled(tmp_path: Path) -> None:
+    cache = Path(output(start(NUMBA_CACHE_DIR=str(tmp_path))))
+    assert cache.parent == tmp_path
+    kept = sorted(cache.rglob("*.nb?"))
+    other = tmp_path / "other"
+    ignored = shutil.ignore_patterns("__pycache__")
+    shutil.copytree(Path(jit.__file__).parents[1], other / "scara_effmass", ignore=ignored)
+    code = f"import sys; sys.path.insert(0, {str(other)!r})\n{CALL}print(jit.__file__)"
+    assert output(start(code, NUMBA_CACHE_DIR=str(tmp_path))).endswith(f"{other}/scara_effmass/kernel/jit.py")
+    assert sorted(cache.rglob("*.nb?")) == kept
+
+
+@pytest.mark.live
 def test_without_a_folder_the_kernel_is_compiled_each_time(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     assert output(start(NUMBA_CACHE_DIR=str(tmp_path / "file"))) == "None"
