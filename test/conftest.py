@@ -51,7 +51,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
     """Return the default number of worker processes: one per core, and more for live tests, which mostly wait."""
     cores = len(os.sched_getaffinity(0))
-    return cores if config.option.markexpr == "not live" else 5 * cores // 2
+    return cores if config.option.markexpr == "not live" else 3 * cores // 2
 
 
 @pytest.hookimpl(wrapper=True)
