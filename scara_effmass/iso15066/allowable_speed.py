@@ -114,7 +114,7 @@ def max_speed(speed: float, growth: float) -> float:
 
     A speed below 0 is none; of two equal ones that of the larger growth is the lower one.
     """
-    if not math.isfinite(speed):
+    if speed == 0.0 or math.isinf(speed):
         return speed
     if speed < 0.0:
         return speed * (1.0 - growth * speed)

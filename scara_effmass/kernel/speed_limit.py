@@ -70,7 +70,7 @@ def bound_of(
     speed = 1.0 / math.sqrt(inverse_square) - gained
     if speed > 0.0:
         speed = 2.0 * speed / (1.0 + math.sqrt(1.0 + 4.0 * growing * speed))
-    elif speed > -math.inf:
+    elif -math.inf < speed < 0.0:
         speed *= 1.0 - growing * speed
     return Bound(speed, mu, growing, 0.0, 0.0, gained)
 

@@ -73,7 +73,7 @@ def test_options_of_the_cell_become_parameters(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_unknown_node_parameter_gives_one_line(cli_process: Cli) -> None:
-    done = cli_process("monitor", "--", "-p", "no_such_parameter:=1")
+    done = cli_process("monitor", "--", "-p", "monitor:no_such_parameter:=1")
     assert done.returncode == 2
     assert done.stderr.splitlines()[-1].startswith("monitor: no parameter 'no_such_parameter'")
     assert "Traceback" not in done.stderr

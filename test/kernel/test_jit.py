@@ -141,7 +141,10 @@ def test_installations_of_the_same_sources_share_what_was_compiled(tmp_path: Pat
     other = tmp_path / "other"
     ignored = shutil.ignore_patterns("__pycache__")
     shutil.copytree(Path(jit.__file__).parents[1], other / "scara_effmass", ignore=ignored)
-    code = f"import sys; sys.path.insert(0, {str(other)!r})\n{CALL}print(jit.__file__)"
+    # Without the finder of an editable installation, which comes before sys.path.
+    finders = "[finder for finder in sys.meta_path if getattr(finder, '__module__', '').startswith('_frozen')]"
+    path = f"import sys; sys.meta_path[:] = {finders}; sys.path.insert(0, {str(other)!r})\n"
+    code = f"{path}{CALL}print(jit.__file__)"
     assert output(start(code, NUMBA_CACHE_DIR=str(tmp_path))).endswith(f"{other}/scara_effmass/kernel/jit.py")
     assert sorted(cache.rglob("*.nb?")) == kept
 

@@ -80,7 +80,7 @@ def test_monitor_logs_verdicts_remedies_and_its_input(new_harness: Callable[...,
         "UNKNOWN: no joint state yet (",
         "named none of the robot's joints); they name joint_a",
         "; remedy: give the",
-        repeat=lambda: sender.publish(joint_state(names=others)),
+        repeat=lambda: sender.publish(joint_state(names=others, velocity=(0.0,) * 4)),
     )
     old = lambda: sender.publish(joint_state(time.time_ns() - 5_000_000_000))  # noqa: E731
     rosout.line(Log.ERROR, "UNKNOWN: the joint state is 5.0", "; remedy: synchronize the clocks", repeat=old)

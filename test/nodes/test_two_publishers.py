@@ -19,7 +19,7 @@ from test.nodes.conftest import Answer, NodeHarness, joint_state
 from test.nodes.test_monitor_node import ACCEPT_ALL, INFO, TWO_LINKS
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-LIGHT = TWO_LINKS.replace('mass value="2.0"', 'mass value="0.2"').replace('mass value="1.0"', 'mass value="0.1"')
+LIGHT = TWO_LINKS.replace('mass value="2.0"', 'mass value="1.0"')
 AWAIT = ("-p", "await_robot_description:=true", "-p", "effective_mass_model:=full", "-p", "timeout:=60.0", *ACCEPT_ALL)
 TWO = "2 publishers of robot_description: must be one"
 
