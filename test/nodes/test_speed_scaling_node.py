@@ -150,7 +150,7 @@ def follow(cell: Start) -> tuple[float, list[Answer], dict[int, float]]:
 
     Return how old the newest contact state was at most in motion [s], all of them, and the factors by stamp [ns].
     """
-    monitor, node, factors = cell("-p", "rise_rate:=2.0", "-p", f"latency:={LATENCY_S}", "-p", "rate:=100.0")
+    monitor, node, factors = cell("-p", "rise_rate:=1.0", "-p", f"latency:={LATENCY_S}", "-p", "rate:=100.0")
     q, qd = sample_moves(tour_moves(), 100)
     trajectory = ScaledTrajectory(JOINTS, np.arange(300) / 100, q[1950:2250], qd[1950:2250])
     states: list[Answer] = []
