@@ -38,10 +38,10 @@ setup: .venv/.installed  ## make .venv: what the demo needs, the messages, the c
 demo: setup  ## run all nodes on the simulated cell and write a report
 	$(BIN)/scara-effmass demo --force
 
-test: .venv/.kernel .venv/.caches lint  ## run lint, types and all tests
+test: .venv/.caches lint kernel  ## run lint, types and all tests
 	$(PYTEST)
 
-check: .venv/.kernel .venv/.caches lint  ## run lint, types and the tests without DDS and processes
+check: .venv/.caches lint kernel  ## run lint, types and the tests without DDS and processes
 	$(PYTEST) -m "not live"
 
 lint: .venv/.test  ## run ruff and mypy
@@ -97,7 +97,7 @@ lock: setup  ## update the locked requirements
 clean:  ## remove all generated files
 	rm -rf .venv .venv-colcon .venv-tools build out .mypy_cache .pytest_cache .ruff_cache .hypothesis
 
-.PHONY: help setup demo test check lint coverage mutants bench fuzz faults soak scale bags docs dist sbom colcon lock clean
+.PHONY: help setup demo test check kernel lint coverage mutants bench fuzz faults soak scale bags docs dist sbom colcon lock clean
 
 # The stamps are written last, so that an interrupted set-up starts over.
 .venv/.requirements: requirements/setup.lock
@@ -123,9 +123,9 @@ clean:  ## remove all generated files
 	@cmp -s $@.new $@ && rm $@.new || mv $@.new $@
 FORCE:
 
-# Else each test process compiles a kernel whose sources have changed since the installation.
-.venv/.kernel: .venv/.test $(wildcard $(patsubst %,scara_effmass/%/*.py,kernel iso15066 reference))
-	@PYTHONPATH=. $(BIN)/python scripts/compile_kernel.py && touch $@
+# Once, where its sources have changed since the installation: else each test process does so.
+kernel: .venv/.test
+	@$(BIN)/python scripts/compile_kernel.py
 
 # What mypy and pytest compile once, at the same time: else one core waits for mypy, and then each test process compiles
 # all tests.

@@ -379,7 +379,7 @@ class Detector:
     def _lose_baseline(self, start: int, *, at_rest: bool = False) -> list[Impact]:
         """Report the segment from `start`, and search for another baseline from here on."""
         sustained = self.sustained_contacts
-        contacts = self._classify(start, self._processed, TRANSIENT_S if at_rest else self._settings.longest)
+        contacts = self._classify(start, self._processed, TRANSIENT_S if at_rest else None)
         if self._held is not None and not contacts:  # its load goes
             self._held.extend(self._buffer.samples(start, self._processed), start)
         goes_on = bool(contacts) and self._goes_on(contacts[-1], start)

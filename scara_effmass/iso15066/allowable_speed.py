@@ -112,7 +112,7 @@ class ContactCase:
 def max_speed(speed: float, growth: float) -> float:
     """Return v [m/s] with v (1 + growth v) = `speed`, with the `growth` [s/m].
 
-    A speed below 0 is none; of two equal ones that of the larger growth is the lower one.
+    A negative speed allows no motion. There, too, a larger growth gives a lower speed, so that rounding decides no tie.
     """
     if speed == 0.0 or math.isinf(speed):
         return speed
