@@ -118,16 +118,16 @@ def contact_of(
     labels: Mapping[str, tuple[str, ...]],
 ) -> ContactAssessment:
     """Return the contact in a record of CONTACT, with the text of its reason; `labels` are the texts of its codes."""
-    fields: dict[str, Any] = {}
-    for name in FIELDS:
-        value = record[name].tolist()
-        fields[name] = tuple(value) if isinstance(value, list) else value
-    fields |= {name: texts[int(record[name])] for name, texts in labels.items()}
+    fields: dict[str, Any] = dict(zip(FIELDS, record.tolist(), strict=True))  # once: each access to a field takes long
+    for name, shape in FIELDS.items():
+        if shape:
+            fields[name] = tuple(fields[name].tolist())
+    fields |= {name: texts[int(fields[name])] for name, texts in labels.items()}
     fields |= {
-        "worst_direction_used": bool(record["worst_direction_used"]),
-        "mass_capped": bool(record["mass_capped"]),
-        "verdict": Verdict(int(record["verdict"])),
-        "reason_code": Reason(int(record["reason"][CODE])),
+        "worst_direction_used": bool(fields["worst_direction_used"]),
+        "mass_capped": bool(fields["mass_capped"]),
+        "verdict": Verdict(int(fields["verdict"])),
+        "reason_code": Reason(int(fields["reason"][CODE])),
         "contact_point": point,
         "reason": reason,
     }

@@ -86,6 +86,15 @@ def assert_equal(rows: list[dict[str, Any]], decisions: list[Decision]) -> None:
             np.testing.assert_array_equal(found, wanted, err_msg=field)
 
 
+@pytest.fixture(scope="module")
+def short_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of 0.5 s at 500 Hz: the reference takes 10 ms for each joint state."""
+    path = tmp_path_factory.mktemp("bags") / "short"
+    with BagWriter(path) as bag:
+        bag.write_joint_states("/joint_states", swing(250))
+    return path
+
+
 CROSS_CHECKED = {
     "defaults": (),
     "payload topic": ("--payload-topic", "load"),
@@ -98,19 +107,19 @@ CROSS_CHECKED = {
 
 @pytest.mark.parametrize("case", CROSS_CHECKED)
 def test_cross_check_compares_every_setting_with_the_reference(
-    case: str, swing_bag: Path, cli: Cli, tmp_path: Path
+    case: str, short_bag: Path, cli: Cli, tmp_path: Path
 ) -> None:
     words: tuple[Any, ...] = CROSS_CHECKED[case]
     if case == "velocity bag":
-        words = ("--velocity-bag", swing_bag)
+        words = ("--velocity-bag", short_bag)
     elif words[:1] == ("--params",):
         (tmp_path / "cell.yaml").write_text(f"/**:\n  ros__parameters:\n    {words[1]}\n", encoding="utf-8")
         words = ("--params", tmp_path / "cell.yaml")
-    out = tmp_path / "swing.parquet"
-    done = cli("assess", swing_bag, "-o", out, "--cross-check", *words)
+    out = tmp_path / "short.parquet"
+    done = cli("assess", short_bag, "-o", out, "--cross-check", *words)
     assert (done.returncode, done.stderr) == (int(case == "payload topic"), "")  # no payload: all are UNKNOWN
     if not words:
-        assert_equal(parquet.read_table(out).to_pylist(), core_decisions(swing_bag))
+        assert_equal(parquet.read_table(out).to_pylist(), core_decisions(short_bag))
 
 
 def test_difference_found_by_the_cross_check_leaves_no_file(

@@ -33,15 +33,18 @@ def new_monitor(robot: Path | None = None, *, use_reference: bool = False, **val
     return Monitor(RobotDynamics(load_robot(robot, settings)), settings, use_reference=use_reference)
 
 
-def motion(monitor: Monitor, count: int) -> Iterator[JointState]:
-    """Yield joint states of a motion from rest to above the limits; every 97th repeats its stamp, one of 89 is late."""
+def motion(monitor: Monitor, count: int, steps: int = 200) -> Iterator[JointState]:
+    """Yield joint states of a motion from rest to above the limits; every 97th repeats its stamp, one of 89 is late.
+
+    It gets faster every `steps` joint states.
+    """
     robot = monitor.dynamics.robot
     centre = robot.sample_configurations(1)[0]
     phases = np.linspace(0.3, 1.0, len(centre))
     stamp_ns = 1_000_000_000
     for i in range(count):
         stamp_ns += STEP_NS * (i % 97 != 96) * (30 if i % 89 == 88 else 1)
-        amplitude, rate = 0.1, 2.0 * math.pi * (i // 200)
+        amplitude, rate = 0.1, 2.0 * math.pi * (i // steps)
         angle = rate * phases * stamp_ns / 1e9
         yield JointState(
             stamp_ns, robot.joint_names, centre + amplitude * np.sin(angle), amplitude * rate * phases * np.cos(angle)
@@ -79,7 +82,7 @@ def assert_equal(decision: Decision, expected: Decision) -> None:
 def test_monitor_with_kernel_decides_as_one_with_the_reference(robot: Path | None, values: dict[str, Any]) -> None:
     with_kernel, without = (new_monitor(robot, use_reference=reference, **values) for reference in (False, True))
     verdicts = set()
-    for state in motion(with_kernel, 900):
+    for state in motion(with_kernel, 450, steps=90):
         decision, expected = (monitor.assess(state, state.stamp_ns) for monitor in (with_kernel, without))
         assert decision is not None
         assert expected is not None
