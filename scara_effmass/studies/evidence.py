@@ -56,6 +56,8 @@ DRIVES = {
     PER_JOINT: "servo, a controller per joint",
 }
 PLATES = {"worst": "worst plate normal", "random": "random plate normal"}
+ELASTIC, LOSSY = "elastic, without friction", "damped or with friction"
+"""Surfaces: what the settings state of damping and friction counts as the worst that it can do."""
 GOALS = (("free", FREE), ("default", COMPUTED_TORQUE), ("default", PER_JOINT))
 """Settings, each with the drives that it assumes: the force must keep the limit."""
 MAX_SHARE = 1e-3
@@ -63,7 +65,7 @@ MAX_SHARE = 1e-3
 MAX_RATIO = 1.05
 """Largest peak / limit that meets it."""
 MIN_MEDIANS = {FREE: 0.75, COMPUTED_TORQUE: 0.6, PER_JOINT: 0.75}
-"""Smallest median of peak / limit, at the worst plate normal, that meets the goal, by drives."""
+"""Smallest median of peak / limit on an elastic surface, at the worst plate normal, that meets the goal, by drives."""
 MIN_IMPACTS_SHARE, MIN_IMPACTS_MEDIAN = 1000, 100
 """Fewest impacts of a group whose share, or median, can meet the goal."""
 RANDOM_ARMS = 40
@@ -74,7 +76,7 @@ WORST_ROWS = 20
 MAX_DIGITS = 10
 """Number of digits that no number of an impact reaches."""
 _TEXTS = ("robot", "setting", "drives", "plate")
-_NUMBERS = ("ratio", "draws")
+_NUMBERS = ("ratio", "draws", "contact_damping", "contact_friction")
 
 
 class Start(NamedTuple):
@@ -303,6 +305,7 @@ class Group(NamedTuple):
     drives: str
     plate: str
     robot: str
+    surface: str
     impacts: int
     above: int
     interval: tuple[float, float]
@@ -330,6 +333,8 @@ class Evidence:
             is_sound = False
         if not (is_sound and self.table.num_rows and {"index", *_TEXTS} <= {*self.table.column_names}):
             raise OutputError(f"{path}: is damaged: must be a table of impacts; choose another folder, or use --force")
+        is_elastic = np.add(*(np.asarray(self.table[name]) for name in ("contact_damping", "contact_friction"))) == 0.0
+        self.table = self.table.append_column("surface", [np.where(is_elastic, ELASTIC, LOSSY)])
         self.impacts = int(compute.count_distinct(self.table["index"]).as_py())
         self.robots = list(dict.fromkeys(self.table["robot"].to_pylist()))
         self.draws = int(compute.sum(self.table["draws"]).as_py()) / self.table.num_rows
@@ -338,9 +343,9 @@ class Evidence:
         """Return peak / limit of the rows whose columns have `values`."""
         return np.asarray(self._rows(**values)["ratio"])
 
-    def group(self, setting: str, drives: str, plate: str = "", robot: str = "") -> Group | None:
-        """Return the statistics of one group, None without impacts; an empty plate or robot stands for all of them."""
-        chosen = {"setting": setting, "drives": drives, "plate": plate, "robot": robot}
+    def group(self, setting: str, drives: str, plate: str = "", robot: str = "", surface: str = "") -> Group | None:
+        """Return the statistics of one group, None without impacts; empty texts stand for all of them."""
+        chosen = {"setting": setting, "drives": drives, "plate": plate, "robot": robot, "surface": surface}
         ratios = self.ratios(**{column: value for column, value in chosen.items() if value})
         if not len(ratios):
             return None
@@ -355,11 +360,21 @@ class Evidence:
             median=float(np.median(ratios)),
         )
 
-    def groups(self, plates: tuple[str, ...] = (*PLATES,), robots: tuple[str, ...] = ("",)) -> list[Group]:
-        """Return the groups that have impacts, in the order of drives, plate, robot and setting."""
-        cases = product(DRIVES, plates, robots, LABELS)
-        groups = (self.group(setting, drives, plate, robot) for drives, plate, robot, setting in cases)
+    def groups(
+        self, plates: tuple[str, ...] = ("",), robots: tuple[str, ...] = ("",), surfaces: tuple[str, ...] = ("",)
+    ) -> list[Group]:
+        """Return the groups that have impacts, in the order of drives, plate, robot, surface and setting."""
+        cases = product(DRIVES, plates, robots, surfaces, LABELS)
+        groups = (self.group(setting, drives, *case) for drives, *case, setting in cases)
         return [group for group in groups if group]
+
+    def tables(self) -> dict[str, list[Group]]:
+        """Return the groups by plate, by robot, and at the worst normal by surface."""
+        return {
+            "plate": self.groups(plates=(*PLATES,)),
+            "robot": self.groups(robots=(*self.robots,)),
+            "surface": self.groups(plates=("worst",), surfaces=(ELASTIC, LOSSY)),
+        }
 
     def largest(self) -> list[dict[str, Any]]:
         """Return the rows with the largest peak / limit, of settings on the drives that they assume."""
@@ -382,14 +397,15 @@ class Evidence:
                 text += f"; must be at most {MAX_SHARE:.1%}, the worst {MAX_RATIO:g}"
                 add(group, text, MIN_IMPACTS_SHARE, met=group.share <= MAX_SHARE and group.worst <= MAX_RATIO)
             least = MIN_MEDIANS[drives]
-            if group := self.group(setting, drives, "worst"):
-                text = f"median of peak / limit {group.median:.3f} at the worst normal; must be at least {least:g}"
+            if group := self.group(setting, drives, "worst", surface=ELASTIC):
+                text = f"median of peak / limit {group.median:.3f} at the worst normal, {ELASTIC}"
+                text += f"; must be at least {least:g}"
                 add(group, text, MIN_IMPACTS_MEDIAN, met=group.median >= least)
         return goals
 
     def as_dict(self) -> dict[str, Any]:
         """Return the statistics for JSON."""
-        cases = self.groups() + self.groups(("",), tuple(self.robots))
+        cases = [group for table in self.tables().values() for group in table]
         return {
             "simulated": True,
             "impacts": self.impacts,

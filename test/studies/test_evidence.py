@@ -16,6 +16,7 @@ from scara_effmass.settings import MonitorSettings, ServoSettings
 from scara_effmass.studies.bounds import CREEP_MPS, RANDOM_ARM, ROBOTS, TINY, arm_of
 from scara_effmass.studies.evidence import (
     FREE,
+    LOSSY,
     PAGE,
     SUMMARY,
     TABLE,
@@ -29,7 +30,7 @@ from scara_effmass.studies.evidence import (
 
 COLUMNS = (
     "index,robot,contact_point,region,plate,drives,bandwidth_hz,damping,draws,setting,allowable_speed_m_s,"
-    "ratio,time_to_peak_s,turn_to_peak"
+    "ratio,time_to_peak_s,turn_to_peak,contact_damping,contact_friction"
 )
 
 
@@ -50,7 +51,7 @@ def write_table(tmp_path: Path) -> Callable[..., Path]:
                     above = i < 2 and (setting, drives, plate) == ("free", "free", "worst")
                     ratio = 1.25 + 0.25 * i if above else median if plate == "worst" else 0.5
                     lines.append(
-                        f"{index},{robot},tool,chest,{plate},{drives},5.0,0.7,2,{setting},0.5,{ratio},0.01,0.1"
+                        f"{index},{robot},tool,chest,{plate},{drives},5.0,0.7,2,{setting},0.5,{ratio},0.01,0.1,0.0,0.0"
                     )
         (tmp_path / TABLE).write_text("\n".join(lines) + "\n", encoding="utf-8")
         return tmp_path / TABLE
@@ -69,8 +70,8 @@ def test_shares_and_intervals(write_table: Callable[..., Path]) -> None:
     assert clean is not None
     assert clean.interval == pytest.approx((0.0, 1.0 - 0.025 ** (1.0 / 100.0)))
     assert evidence.group("paper", "free") is None
-    assert len(evidence.groups()) == 8
-    assert len(evidence.groups(("",), ("UR5",))) == 4
+    assert {name: len(groups) for name, groups in evidence.tables().items()} == {"plate": 8, "robot": 8, "surface": 4}
+    assert evidence.groups(robots=("UR5",)) == evidence.tables()["robot"][2:4] + evidence.tables()["robot"][6:]
     assert [row["ratio"] for row in evidence.largest()[:3]] == [1.5, 1.25, 0.8]
 
 
@@ -90,6 +91,14 @@ def test_damaged_table_is_refused(write_table: Callable[[float], Path], old: str
 )
 def test_goals(write_table: Callable[..., Path], median: float, met: list[bool]) -> None:
     assert [goal[2] for goal in Evidence(write_table(median, 500)).goals()] == met
+
+
+def test_damped_impacts_count_for_the_limit_but_not_for_the_median(write_table: Callable[..., Path]) -> None:
+    table = write_table(0.8, 500)
+    table.write_text(table.read_text(encoding="utf-8").replace(",0.0,0.0\n", ",0.1,0.0\n"), encoding="utf-8")
+    evidence = Evidence(table)
+    assert [(text.split(" ")[0], met) for _, text, met in evidence.goals()] == [("0.20%", False), ("0.00%", True)]
+    assert {group.surface for group in evidence.tables()["surface"]} == {LOSSY}
 
 
 def test_no_goal_is_met_by_too_few_impacts(write_table: Callable[..., Path]) -> None:
