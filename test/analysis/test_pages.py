@@ -26,6 +26,7 @@ from scara_effmass.analysis.report import (
     file_hashes,
     phrases,
     print_pdf,
+    setting_rows,
     translated,
 )
 from scara_effmass.analysis.summary import iso_time
@@ -94,6 +95,16 @@ def test_reasons_and_remedies_of_verdicts_are_translated(language: str) -> None:
     texts = [re.sub(r"\{[^}]*\}", "7", text) for text in TEXTS.values() if text not in own]
     for text in (*texts, *map(remedy, Reason)):
         assert all(is_known for _, is_known in phrases(text, language)), text
+
+
+@pytest.mark.parametrize("language", LANGUAGES)
+def test_descriptions_of_settings_are_translated(language: str) -> None:
+    """Those of every setting that a report can list, also of those at their defaults."""
+    settings = ValidationSettings()
+    for listed in (settings.validator, settings.detection, settings.monitor):
+        for name, _, description in setting_rows(type(listed).__name__, listed):
+            assert description, name
+            assert all(is_known for _, is_known in phrases(description, language)), name
 
 
 def test_reason_is_translated_with_its_words() -> None:
