@@ -52,6 +52,7 @@ TABLES = read_table(__file__, "bounds.yaml")
 ROBOTS: Mapping[str, Mapping[str, Any]] = TABLES["robots"]
 """A SCARA, two arms with six axes and one with seven."""
 RANDOM_ARM = "random arm "
+RANDOM_ARMS = 40
 MAX_MONITORS = 50
 """Number of monitors with different settings that an arm keeps."""
 NO_MARGINS: Mapping[str, Any] = TABLES["no_margins"]
@@ -229,6 +230,27 @@ def contacts(
     return np.array(results)
 
 
+def random_contacts(count: int, rng: np.random.Generator) -> FloatArray:
+    """Return the peak force over the limit (count,) with free joints, all margins 0, and the worst plates.
+
+    Robot (every other one a random arm), contact point, region, pose and all joint velocities are random.
+    """
+    regions = [limit.region for limit in limits_for(settings_for())]
+    names, ratios = [*ROBOTS], []
+    while len(ratios) < count:
+        name = f"{RANDOM_ARM}{rng.integers(RANDOM_ARMS)}" if rng.integers(2) else names[rng.integers(len(names))]
+        arm, settings = arm_of(name), settings_for(regions[rng.integers(len(regions))])
+        arm.sim.scale_masses(np.ones(arm.sim.n))
+        point = int(rng.integers(len(arm.dynamics.contact_points)))
+        q, creep = arm.draw_motion(rng, point, straight=False)
+        qd = arm.allowed(q, creep, settings, point)
+        if qd is not None and qd.any():
+            (limit,) = limits_for(settings)
+            normal = arm.sim.worst_normal(q, qd, limit, None, point)
+            ratios.append(arm.sim.touch(q, qd, normal, limit, None, point).force / limit.permissible_force_n)
+    return np.array(ratios)
+
+
 def force_parts(
     arm: MonitoredArm, count: int, rng: np.random.Generator, servo: ServoSettings, **settings: object
 ) -> FloatArray:
@@ -313,6 +335,11 @@ def main() -> None:
                 labels = (name, region, normal, plate)
                 row(table, labels, arm, region, args.poses, plate=plate, contact_normal=normal)
     console.print(table)
+    ratio = random_contacts(20 * args.poses, np.random.default_rng(args.seed))
+    above = f"{100.0 * np.mean(ratio > 1.0):.2f} % above 1, {100.0 * np.mean(ratio > 1.002):.2f} % above 1.002"
+    console.print(
+        f"random arms, too, and random joint velocities: {len(ratio)} contacts, {above}, max {ratio.max():.4f}"
+    )
     console.print("## Drives push on for 0.5 s")
     table = Table("arm", "bandwidth", "region", "drives", *columns, box=box.MARKDOWN)
     count = max(args.poses // 8, 1)

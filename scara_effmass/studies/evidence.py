@@ -29,7 +29,7 @@ from scara_effmass.iso15066 import Limit, contact_time, limits_for
 from scara_effmass.model.lumping import is_scara
 from scara_effmass.settings import MonitorSettings, ServoSettings
 from scara_effmass.sim.plate_sim import Peak, Surface
-from scara_effmass.studies.bounds import RANDOM_ARM, ROBOTS, TABLES, arm_of
+from scara_effmass.studies.bounds import RANDOM_ARM, RANDOM_ARMS, ROBOTS, TABLES, arm_of
 from scara_effmass.values import FloatArray
 
 Row = dict[str, str | int | float]
@@ -68,7 +68,6 @@ MIN_MEDIANS = {FREE: 0.75, COMPUTED_TORQUE: 0.6, PER_JOINT: 0.75}
 """Smallest median of peak / limit on an elastic surface, at the worst plate normal, that meets the goal, by drives."""
 MIN_IMPACTS_SHARE, MIN_IMPACTS_MEDIAN = 1000, 100
 """Fewest impacts of a group whose share, or median, can meet the goal."""
-RANDOM_ARMS = 40
 MAX_ACCELERATION, MAX_PERSON_SPEED, MAX_DAMPING, MAX_FRICTION = 5.0, 1.6, 0.6, 1.0
 """Of the contact point [m/s2], of the person [m/s], damping ratio and friction coefficient of the contact."""
 CONFIDENCE = 0.95

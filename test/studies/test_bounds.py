@@ -64,6 +64,11 @@ def test_allowed_speed_keeps_the_limit_while_the_joints_turn(arm: MonitoredArm, 
     assert turn.max() > bounds.SMALL_TURN or region == "hand_fingers"
 
 
+def test_random_arms_with_random_joint_velocities_keep_the_limit() -> None:
+    ratio = bounds.random_contacts(40, np.random.default_rng(5))
+    assert 0.9 < np.median(ratio) < ratio.max() < TOLERANCE
+
+
 @pytest.mark.parametrize(("region", "median"), [("lower_leg", 1.1), ("chest", 1.1), ("hand_fingers", 1.005)])
 def test_normal_along_the_velocity_allows_too_much(scara: MonitoredArm, region: str, median: float) -> None:
     rng = np.random.default_rng(4)
