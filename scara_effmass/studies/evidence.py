@@ -134,8 +134,8 @@ def draw_impact(seed: int, index: int) -> Impact:
     """Return random impact number `index` of the series `seed`.
 
     Robot, plate normal (the worst one of the pose, or a random one) and drives (free joints, or a servo) take turns;
-    every fifth robot is a random arm. A motion is drawn again if a setting allows a joint to exceed its speed limit, or
-    if the default allows none.
+    every fifth robot is a random arm. A motion is drawn again if a setting allows a joint to exceed its speed limit,
+    now or by its acceleration during the contact, or if the default allows none.
     """
     rng = np.random.default_rng((seed, index))
     turn, robot = divmod(index, len(ROBOTS) + 1)
@@ -181,10 +181,11 @@ def _sometimes(rng: np.random.Generator, largest: float) -> float:
 def _starts(impact: Impact, creep: FloatArray, rng: np.random.Generator) -> dict[str, Start]:
     """Return the start of the impact with each setting, for the motion `creep` (n,); empty to draw again."""
     arm, q, limit, point = arm_of(impact.robot), impact.q, impact.limit, impact.point
+    gained = impact.qdd * contact_time(limit.body_mass_kg, limit.stiffness_n_m)
     series, starts = int(rng.integers(2**32)), {}
     for name, settings in impact.settings.items():
         qd = arm.allowed(q, creep, settings, point, impact.qdd)
-        if qd is None or (name == "default" and not qd.any()):
+        if qd is None or (name == "default" and not qd.any()) or (np.abs(qd + gained) > arm.max_speed).any():
             return {}
         moving, same = qd if qd.any() else creep, np.random.default_rng(series)  # the same directions for each setting
         direction = same.normal(size=3)
