@@ -54,6 +54,7 @@ def _impact(simulate: Simulate, index: int, advance: Advance) -> list[Row]:
 def _lines(evidence: Evidence, output: Path) -> Iterator[tuple[str, str]]:
     robots = ", ".join(evidence.robots)
     yield "simulated", f"{evidence.impacts} random impacts of {robots} (MuJoCo); nothing was measured"
+    yield "result", evidence.sentence
     yield "", "at the worst plate normal:"
     for group in evidence.groups(("worst",)):
         text = f"{group.share:.2%} above the limit, worst {group.worst:.3f}, median {group.median:.3f}"

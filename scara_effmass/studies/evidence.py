@@ -30,7 +30,7 @@ from scara_effmass.model.lumping import is_scara
 from scara_effmass.settings import MonitorSettings, ServoSettings
 from scara_effmass.sim.plate_sim import Peak, Surface
 from scara_effmass.studies.bounds import RANDOM_ARM, RANDOM_ARMS, ROBOTS, TABLES, arm_of
-from scara_effmass.values import FloatArray
+from scara_effmass.values import FloatArray, at_least
 
 Row = dict[str, str | int | float]
 Simulate = Callable[[int], list[Row]]
@@ -382,6 +382,15 @@ class Evidence:
         rows: list[dict[str, Any]] = pa.concat_tables(parts).sort_by([("ratio", "descending")])[:WORST_ROWS].to_pylist()
         return rows
 
+    @property
+    def sentence(self) -> str:
+        """The result of the default over all drives."""
+        if (group := self.group("default", "")) is None:
+            return "no impact with the default"
+        kept = f"kept in {group.impacts - group.above} of {group.impacts} simulated impacts"
+        worst = f"worst force {at_least(group.worst, 3)} of it"
+        return f"With the default the limit was {kept} ({worst}), with everything stated that robot and person do"
+
     def goals(self) -> list[tuple[str, str, bool]]:
         """Return for each goal its subject, the result, and whether it is met; too few impacts do not meet it."""
         goals = []
@@ -410,6 +419,7 @@ class Evidence:
             "simulated": True,
             "impacts": self.impacts,
             "robots": self.robots,
+            "result": self.sentence,
             "groups": [group._asdict() | {"share": group.share} for group in cases],
             "goals": [{"subject": subject, "result": text, "met": met} for subject, text, met in self.goals()],
             "scara_effmass": __version__,
