@@ -236,7 +236,8 @@ def random_contacts(count: int, rng: np.random.Generator) -> FloatArray:
     Robot (every other one a random arm), contact point, region, pose and all joint velocities are random.
     """
     regions = [limit.region for limit in limits_for(settings_for())]
-    names, ratios = [*ROBOTS], []
+    names = [*ROBOTS]
+    ratios: list[float] = []
     while len(ratios) < count:
         name = f"{RANDOM_ARM}{rng.integers(RANDOM_ARMS)}" if rng.integers(2) else names[rng.integers(len(names))]
         arm, settings = arm_of(name), settings_for(regions[rng.integers(len(regions))])
