@@ -89,8 +89,10 @@ class TightestMargin(NamedTuple):
             yield "  pose", ", ".join(f"{name} {position:.3f}" for name, position in self.positions.items())
         components = ", ".join(f"{round(component, 2) + 0.0:.2f}" for component in contact.direction)
         direction = "in its worst direction" if contact.worst_direction_used else f"along ({components})"
-        mass = f"{contact.effective_mass:.3g} kg {direction}"
-        yield "  why", f"{contact.criterion} limit of {contact.body_region}; {mass}"
+        limit = f"{contact.criterion} limit of {contact.body_region}"
+        if contact.reason_code in {Reason.PERSON_TOO_FAST, Reason.CLAMPED}:  # at any speed
+            limit = contact.reason
+        yield "  why", f"{limit}; {contact.effective_mass:.3g} kg {direction}"
 
     def as_dict(self) -> dict[str, Any]:
         """Return the margin for JSON, units in the names."""

@@ -95,6 +95,12 @@ def short_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+def test_a_region_that_a_walking_person_leaves_no_speed_is_named(short_bag: Path, cli: Cli, tmp_path: Path) -> None:
+    done = cli("assess", short_bag, "-o", tmp_path / "short.parquet", "--person-speed", "1.6")
+    assert "a person at 1.600 m/s leaves no speed: the force limit of lower_leg allows" in done.stdout
+    assert "state a lower person_speed" in done.stdout
+
+
 CROSS_CHECKED = {
     "defaults": (),
     "payload topic": ("--payload-topic", "load"),
