@@ -65,7 +65,7 @@ MAX_SHARE = 1e-3
 MAX_RATIO = 1.05
 """Largest peak / limit that meets it."""
 MIN_MEDIANS = {FREE: 0.75, COMPUTED_TORQUE: 0.6, PER_JOINT: 0.75}
-"""Smallest median of peak / limit on an elastic surface, at the worst plate normal, that meets the goal, by drives."""
+"""Smallest median of peak / limit, at the worst plate normal, that meets the goal, by drives."""
 MIN_IMPACTS_SHARE, MIN_IMPACTS_MEDIAN = 1000, 100
 """Fewest impacts of a group whose share, or median, can meet the goal."""
 MAX_ACCELERATION, MAX_PERSON_SPEED, MAX_DAMPING, MAX_FRICTION = 5.0, 1.6, 0.6, 1.0
@@ -406,9 +406,8 @@ class Evidence:
                 text += f"; must be at most {MAX_SHARE:.1%}, the worst {MAX_RATIO:g}"
                 add(group, text, MIN_IMPACTS_SHARE, met=group.share <= MAX_SHARE and group.worst <= MAX_RATIO)
             least = MIN_MEDIANS[drives]
-            if group := self.group(setting, drives, "worst", surface=ELASTIC):
-                text = f"median of peak / limit {group.median:.3f} at the worst normal, {ELASTIC}"
-                text += f"; must be at least {least:g}"
+            if group := self.group(setting, drives, "worst"):
+                text = f"median of peak / limit {group.median:.3f} at the worst normal; must be at least {least:g}"
                 add(group, text, MIN_IMPACTS_MEDIAN, met=group.median >= least)
         return goals
 

@@ -35,22 +35,23 @@ def swing(count: int) -> Iterator[JointState]:
         yield JointState(START_NS + number * STEP_NS, JOINTS, q[number], qd[number])
 
 
+def swing_recording(path: Path, count: int) -> Path:
+    """Write `count` joint states of `swing` to the recording `path`; return it."""
+    with BagWriter(path) as bag:
+        bag.write_joint_states("/joint_states", swing(count))
+    return path
+
+
 @pytest.fixture(scope="session")
 def swing_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A recording of 2 s at 500 Hz."""
-    path = tmp_path_factory.mktemp("bags") / "swing"
-    with BagWriter(path) as bag:
-        bag.write_joint_states("/joint_states", swing(1000))
-    return path
+    return swing_recording(tmp_path_factory.mktemp("bags") / "swing", 1000)
 
 
 @pytest.fixture(scope="session")
 def long_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A recording of 60 s at 500 Hz, which takes seconds to assess."""
-    path = tmp_path_factory.mktemp("bags") / "long.mcap"
-    with BagWriter(path) as bag:
-        bag.write_joint_states("/joint_states", swing(30_000))
-    return path
+    return swing_recording(tmp_path_factory.mktemp("bags") / "long.mcap", 30_000)
 
 
 @pytest.fixture

@@ -39,7 +39,7 @@ from scara_effmass.values import ContactAssessment, Decision, Verdict, severity
 from scara_effmass.wire.contact_states import ContactStatesEncoder, decode_contact_states
 from scara_effmass.wire.joint_state import JointStateDecoder
 from scara_effmass.wire.message_types import CONTACT_STATES, INERTIA
-from test.cli.conftest import Cli, Refused, swing
+from test.cli.conftest import Cli, Refused, swing, swing_recording
 from test.decisions import assessments_of, decision_on
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -89,10 +89,7 @@ def assert_equal(rows: list[dict[str, Any]], decisions: list[Decision]) -> None:
 @pytest.fixture(scope="module")
 def short_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A recording of 0.5 s at 500 Hz: the reference takes 10 ms for each joint state."""
-    path = tmp_path_factory.mktemp("bags") / "short"
-    with BagWriter(path) as bag:
-        bag.write_joint_states("/joint_states", swing(250))
-    return path
+    return swing_recording(tmp_path_factory.mktemp("bags") / "short", 250)
 
 
 def test_a_region_that_a_walking_person_leaves_no_speed_is_named(short_bag: Path, cli: Cli, tmp_path: Path) -> None:
