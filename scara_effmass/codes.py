@@ -59,6 +59,7 @@ class Reason(IntEnum):
     ASSUMED = 63
     PERSON_TOO_FAST = 64  # values: as TOO_FAST, with the person's speed and the one that the limit allows at rest [m/s]
     CLAMPED = 65  # values: force [N]
+    TURNS = 66  # joint; values: angle [rad] or path [m]
     KERNEL_DISAGREES = 70  # detail: field
     TOO_SLOW = 71  # values: duration [s]
     STUCK = 72

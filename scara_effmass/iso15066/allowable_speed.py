@@ -133,7 +133,11 @@ def contact_cases(limits: Iterable[Limit], settings: MonitorSettings | None = No
     stiffness = tuple(limit.stiffness_n_m * (1.0 + settings.stiffness_uncertainty) for limit in limits)
     masses = tuple(limit.body_mass_kg for limit in limits)
 
-    amplified = amplification(settings.contact_damping, settings.contact_friction)
+    amplified = amplification(
+        settings.contact_damping,
+        settings.contact_friction,
+        is_clamped=math.isinf(masses[0]),  # all limits are of one type of contact
+    )
 
     def drive_time(limit: Limit) -> float | None:
         """Return that of the nominal stiffness: a softer contact lasts longer."""

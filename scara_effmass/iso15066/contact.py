@@ -13,6 +13,8 @@ TRANSIENT_S = 0.5
 """Duration of the longest transient contact [s] (ISO/TS 15066)."""
 TIME_FACTOR = 1.5
 """Time for which the force may grow, over the time to its peak; above 1, to cover what is not linear in time."""
+MAX_TURN = 0.05
+"""Turn [rad], path [m] by `turn_until_peak` up to which the linear change of pose holds (docs/validity.md)."""
 Quantity = TypeVar("Quantity", float, FloatArray)
 """A scalar or an array of any shape; the arrays of one call have the same shape."""
 
@@ -49,15 +51,24 @@ def transferred_energy(speed: Quantity | float, reduced_mass: Quantity) -> Quant
     return energy
 
 
-def amplification(damping: float, friction: float) -> float:
+def amplification(damping: float, friction: float, *, is_clamped: bool = False) -> float:
     """Return the bound of the total peak force of a damped contact with friction over that of an elastic one without.
 
-    `damping` is the ratio c / (2 sqrt(mu k)) of a Kelvin-Voigt contact. Its compression x and closing speed u have
-    k x^2 + mu u^2 <= mu v^2, so that k x + c u <= v sqrt(mu k) sqrt(1 + 4 damping^2), by Cauchy and Schwarz. Friction
-    dissipates, so that the energy of the worst normal bounds the normal force as before; the total one is
-    sqrt(1 + friction^2) times that.
+    `damping` is the largest ratio c / (2 sqrt(mu k)) of a Kelvin-Voigt contact. Its force starts at c v and never
+    exceeds the larger one of c v and the peak without damping, on free joints and on a servo; the sum of both bounds
+    that of a servo against a clamped body part (shown by simulation in the tests). Friction dissipates, so that the
+    energy of the worst normal bounds the normal force as before; the total one is sqrt(1 + friction^2) times that.
     """
-    return math.sqrt((1.0 + 4.0 * damping * damping) * (1.0 + friction * friction))
+    damped = 1.0 + 2.0 * damping if is_clamped else max(1.0, 2.0 * damping)
+    return damped * math.sqrt(1.0 + friction * friction)
+
+
+def turn_until_peak(acceleration: float, body_mass: float, stiffness: float) -> float:
+    """Return by how much [rad, m] a joint with this `acceleration` [rad/s2, m/s2] turns more than at constant velocity.
+
+    The time is that to the peak, a quarter period of `body_mass` [kg] on `stiffness` [N/m]: of an immovable robot.
+    """
+    return 0.5 * acceleration * (0.5 * math.pi) ** 2 * body_mass / stiffness
 
 
 def contact_time(reduced_mass: float, stiffness: float) -> float:

@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from scara_effmass.codes import CriterionCode, Reason
+from scara_effmass.iso15066 import contact as spring
+from scara_effmass.iso15066.contact import MAX_TURN
 from scara_effmass.kernel.acceleration import set_acceleration, set_normal_acceleration
 from scara_effmass.kernel.codes import Model, Normal
 from scara_effmass.kernel.contact_point import (
@@ -58,6 +60,8 @@ EIGENVALUE_ROUNDING = 1e-12
 """Ratio of an eigenvalue of J_v J_v^T to its trace, up to which it counts as 0: its root would be rounding."""
 _FORCE, _PRESSURE = float(CriterionCode.FORCE), float(CriterionCode.PRESSURE)
 _OK, _WARN, _VIOLATION = float(Verdict.OK), float(Verdict.WARN), float(Verdict.VIOLATION)
+
+turn_until_peak = inlined(spring.turn_until_peak)
 
 
 @inlined
@@ -231,6 +235,25 @@ def force_of(bound: Bound, case: Case, hit: float, setup: Setup) -> float:
 
 
 @inlined
+def farthest_turn(contact: Contact, case: Case, approach: Approach) -> float:
+    """Return by how much [rad, m] the fastest joint turns more than at constant velocity."""
+    mass = contact.worst_normal_reduced_mass if case.body_mass == math.inf else case.body_mass
+    return turn_until_peak(approach.joint_acceleration, mass, case.nominal_stiffness)
+
+
+@inlined
+def judge(speed: float, nominal_speed: float, turn: float, setup: Setup) -> tuple[float, Reason]:
+    """Return the verdict on speed and acceleration, and why it is not OK."""
+    if speed > nominal_speed:
+        return _VIOLATION, Reason.TOO_FAST
+    if speed > setup.warn_ratio * nominal_speed:
+        return _WARN, Reason.NEAR_LIMIT
+    if turn > MAX_TURN:
+        return _WARN, Reason.TURNS
+    return _OK, Reason.NONE
+
+
+@inlined
 def set_verdict(
     contact: Contact, case: Case, bound: Bound, mass: float, approach: Approach, setup: Setup, work: Work
 ) -> None:
@@ -240,11 +263,8 @@ def set_verdict(
     contact.force_bound = force_of(bound, case, approach.speed * approach.share + closing_speed, setup)
     nominal_speed = (bound.speed - closing_speed) / approach.share
     contact.allowable_speed = max(0.0, nominal_speed)
-    verdict, code = _OK, Reason.NONE
-    if approach.speed > nominal_speed:
-        verdict, code = _VIOLATION, Reason.TOO_FAST
-    elif approach.speed > setup.warn_ratio * nominal_speed:
-        verdict, code = _WARN, Reason.NEAR_LIMIT
+    turn = farthest_turn(contact, case, approach)
+    verdict, code = judge(approach.speed, nominal_speed, turn, setup)
     best_mass = contact.lumped_mass if math.isnan(contact.full_mass) else contact.full_mass
     is_light = mass < best_mass * (1.0 - setup.model_margin)
     if is_light:
@@ -256,15 +276,22 @@ def set_verdict(
     contact.verdict = verdict
     if code == Reason.CLAMPED:
         set_reason(contact.reason, code, 0, contact.clamping_force, 0.0, 0.0)
+    elif code == Reason.TURNS:
+        set_reason(contact.reason, code, approach.fastest_joint, turn, 0.0, 0.0)
     elif code != Reason.NONE:
-        set_reason(contact.reason, code, 0, contact.speed, contact.allowable_speed, contact.criterion)
-        if code == Reason.TOO_FAST and setup.person_speed > 0.0 and bound.speed <= setup.person_speed * share:
-            rest = bound.speed / share if share > 0.0 else bound.speed + setup.person_speed
-            code = Reason.PERSON_TOO_FAST
-            set_reason(contact.reason, code, 0, setup.person_speed, max(0.0, rest), contact.criterion)
-        contact.reason[VALUES + 3] = contact.body_region
+        explain_speed(contact, code, bound, share, setup)
         if is_light:
             contact.reason[VALUES + 4], contact.reason[VALUES + 5] = contact.effective_mass, best_mass
+
+
+@inlined
+def explain_speed(contact: Contact, code: Reason, bound: Bound, share: float, setup: Setup) -> None:
+    """Write the reason `code` with speed and allowed speed, of the person if it alone leaves no speed."""
+    set_reason(contact.reason, code, 0, contact.speed, contact.allowable_speed, contact.criterion)
+    if code == Reason.TOO_FAST and setup.person_speed > 0.0 and bound.speed <= setup.person_speed * share:
+        rest = bound.speed / share if share > 0.0 else bound.speed + setup.person_speed
+        set_reason(contact.reason, Reason.PERSON_TOO_FAST, 0, setup.person_speed, max(0.0, rest), contact.criterion)
+    contact.reason[VALUES + 3] = contact.body_region
 
 
 @inlined

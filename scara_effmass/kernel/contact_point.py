@@ -45,7 +45,8 @@ class Approach(NamedTuple):
     axes; `direction` is zero below the speed threshold. The part `share` of the speed counts along the fixed `normal`,
     at least MIN_NORMAL_COMPONENT; it is 1 at rest and without a fixed normal. Accelerations are those `shown` by the
     joint states, J_v qdd, with its `error`, and of `held` joint velocities. If it `is_limited`, the error is the stated
-    limit of the acceleration.
+    limit of the acceleration. `fastest_joint` has the largest
+    `joint_acceleration` [rad/s2, m/s2] of those before the point.
     """
 
     joints: int
@@ -62,6 +63,8 @@ class Approach(NamedTuple):
     held: Vector3
     error: float
     is_limited: bool
+    fastest_joint: int
+    joint_acceleration: float
 
 
 @inlined
@@ -81,6 +84,7 @@ def approach_of(point: Point, motion: FloatArray, age: float, setup: Setup, work
     joint = point.joint
     place = add(vector_at(work.places, joint), in_base(joint, point.place, work.rotations))
     velocity, shown, tolerance, error = ZERO_VECTOR, ZERO_VECTOR, 0.0, 0.0
+    fastest, joint_acceleration = 0, 0.0
     for i in range(joint + 1):
         set_vector(work.jacobian, i, ZERO_VECTOR)
     j = joint
@@ -91,6 +95,8 @@ def approach_of(point: Point, motion: FloatArray, age: float, setup: Setup, work
         shown = add(shown, scale(motion[3, j], column))
         tolerance += motion[2, j] * norm(column)
         error += motion[4, j] * norm(column)
+        if abs(motion[3, j]) > joint_acceleration:
+            fastest, joint_acceleration = j, abs(motion[3, j])
         j = setup.parent[j]
     speed = norm(velocity)
     is_moving = speed >= setup.speed_threshold and speed > 0.0
@@ -122,6 +128,8 @@ def approach_of(point: Point, motion: FloatArray, age: float, setup: Setup, work
         held,
         error,
         is_limited,
+        fastest,
+        joint_acceleration,
     )
 
 

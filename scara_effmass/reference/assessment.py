@@ -16,7 +16,7 @@ import numpy as np
 
 from scara_effmass.codes import CriterionCode, ModelCode, ModelReason, NoLumpedMass, Reason
 from scara_effmass.iso15066.allowable_speed import MIN_EFFECTIVE_MASS, ContactCase, SpeedLimit, contact_cases
-from scara_effmass.iso15066.contact import peak_force, reduced_mass, transferred_energy
+from scara_effmass.iso15066.contact import MAX_TURN, peak_force, reduced_mass, transferred_energy, turn_until_peak
 from scara_effmass.iso15066.limits import Limit
 from scara_effmass.model.lumping import is_scara, lumped_suffices
 from scara_effmass.reference.dynamics import RobotDynamics
@@ -73,6 +73,7 @@ class ContactResult:
     mass_model: ModelCode = ModelCode.NONE
     mass_model_reason: int = 0
     reason: Reason = Reason.NONE
+    reason_joint: int = 0
     reason_values: tuple[float, ...] = ()
 
     @property
@@ -427,13 +428,20 @@ class ContactAssessor:
             result.verdict, result.reason = Verdict.VIOLATION, Reason.TOO_FAST
         elif speed > settings.warn_ratio * nominal_speed:
             result.verdict, result.reason = Verdict.WARN, Reason.NEAR_LIMIT
+        accelerations = np.abs(self.joint_acceleration.qdd) * self.contact.is_moved_by
+        mass_on_spring = result.body_mass or result.worst_normal_reduced_mass
+        turn = turn_until_peak(float(np.max(accelerations)), mass_on_spring, result.stiffness)
+        if not result.reason and turn > MAX_TURN:
+            result.verdict, result.reason = Verdict.WARN, Reason.TURNS
         best = ModelCode.LUMPED if math.isnan(self.masses[ModelCode.FULL]) else ModelCode.FULL
         best_mass = min(self.masses[best], settings.mass_cap)  # near a singular pose both masses exceed the cap
         is_light = mass < best_mass * (1.0 - settings.model_margin)
         if is_light:
             result.verdict = max(result.verdict, Verdict.WARN)
             result.reason = result.reason or Reason.LIGHT_MODEL
-        if result.reason:
+        if result.reason is Reason.TURNS:
+            result.reason_joint, result.reason_values = int(np.argmax(accelerations)), (turn,)
+        elif result.reason:
             masses = (result.effective_mass, best_mass) if is_light else ()
             speeds, share, person_speed = (speed, result.allowable_speed), self._person_share, settings.person_speed
             if result.reason is Reason.TOO_FAST and person_speed > 0.0 and limit_speed <= person_speed * share:

@@ -69,16 +69,20 @@ class PoseState:
 
 
 class ContactState:
-    """One contact point at one joint state: `jacobian` J_v and `jacobian_rate` dJ_v/dt (3, n), velocity and speed."""
+    """One contact point at one joint state: `jacobian` J_v and `jacobian_rate` dJ_v/dt (3, n), velocity and speed.
+
+    `is_moved_by` (n,) holds of the joints between base and point.
+    """
 
     def __init__(self, state: PoseState, point: ContactPoint) -> None:
         """Compute kinematics; masses follow on demand."""
         self.state, self.name, self.frame, self.rank = state, *point
         model, axes = state.dynamics.robot.model, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        jacobian = pin.getFrameJacobian(model, state.data, self.frame, axes)
+        # Pinocchio returns a vector for a single joint.
+        jacobian = np.reshape(pin.getFrameJacobian(model, state.data, self.frame, axes), (6, model.nv))
         rate = pin.getFrameJacobianTimeVariation(model, state.data, self.frame, axes)
         # Pinocchio returns a vector for a single joint.
-        self.jacobian = np.reshape(jacobian, (6, model.nv))[:3].copy()
+        self.jacobian, self.is_moved_by = jacobian[:3].copy(), np.any(jacobian, axis=0)
         self.jacobian_rate = np.reshape(rate, (6, model.nv))[:3].copy()
         self.velocity: FloatArray = self.jacobian @ state.qd
         """v = J_v qd [m/s] (Eq. 1)."""

@@ -86,6 +86,10 @@ TEXTS = {
     Reason.LIGHT_MODEL: "the {choice} mass of {v[4]:.3g} kg is below the {best} model's {v[5]:.3g} kg",
     Reason.ASSUMED: "{assumed}",
     Reason.CLAMPED: "the drives can clamp with {v[0]:.0f} N, above the {weakest}, at any speed",
+    Reason.TURNS: (
+        "{joint} accelerates: until the peak of a contact it would turn {v[0]:.2g} {unit} further than at constant "
+        "velocity, more than the force is computed for"
+    ),
     Reason.KERNEL_DISAGREES: "the compiled kernel disagrees with the reference in {detail}",
     Reason.TOO_SLOW: "the assessment took {v[0]:.3f} s",
     Reason.STUCK: "the assessment of a joint state takes too long",

@@ -9,7 +9,7 @@ import numpy as np
 
 from scara_effmass.iso15066 import Limit
 from scara_effmass.kernel.records import CONTACT, FIELDS, REASON_SIZE, ByteArray
-from scara_effmass.kernel.state import CODE, STATE, VALUES
+from scara_effmass.kernel.state import CODE, JOINT, STATE, VALUES
 from scara_effmass.reference import ContactResult, JointAcceleration, RobotDynamics, assess
 from scara_effmass.settings import ContactType, Drives, MonitorSettings
 from scara_effmass.values import FloatArray
@@ -61,6 +61,6 @@ def fill(contact: Any, result: ContactResult) -> None:  # noqa: ANN401 - a recor
         if name != "reason":
             contact[name] = getattr(result, name)
     reason = np.zeros(REASON_SIZE)
-    reason[CODE] = result.reason
+    reason[CODE], reason[JOINT] = result.reason, result.reason_joint
     reason[VALUES : VALUES + len(result.reason_values)] = result.reason_values
     contact["reason"] = reason

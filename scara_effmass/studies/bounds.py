@@ -23,9 +23,11 @@ from rich.console import Console
 from rich.table import Table
 from scipy.optimize import brentq, linprog
 
+from scara_effmass.codes import Reason
 from scara_effmass.input_files import read_table
 from scara_effmass.iso15066 import Limit, limits_for
 from scara_effmass.iso15066.contact import contact_time
+from scara_effmass.kernel.state import CODE
 from scara_effmass.model.load import load_robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
@@ -142,16 +144,16 @@ class MonitoredArm:
     ) -> FloatArray | None:
         """Return `qd` (n,) scaled to the speed that the monitor allows; zeros if it allows no motion.
 
-        The joints accelerate with `qdd` (n,), None for not at all. None if a joint would exceed its speed limit, or if
-        the monitor has no verdict.
+        The joints accelerate with `qdd` (n,), None for not at all. None if a joint would exceed its speed limit, if the
+        monitor has no verdict, or if it says that the force is not computed for such an acceleration.
         """
         monitor = self.monitor(settings)
 
         def margin(scale: float) -> float:
             """Return allowed minus actual speed [m/s]; NaN without a verdict."""
             contact = monitor.assess_configurations(q[None], scale * qd[None], qdd).contacts[0, point]
-            is_unknown = contact["verdict"] == Verdict.UNKNOWN
-            return math.nan if is_unknown else float(contact["allowable_speed"] - contact["speed"])
+            is_not_covered = contact["verdict"] == Verdict.UNKNOWN or contact["reason"][CODE] == Reason.TURNS
+            return math.nan if is_not_covered else float(contact["allowable_speed"] - contact["speed"])
 
         fastest = float(np.min(self.max_speed / np.maximum(np.abs(qd), TINY)))
         slow, fast = margin(1.0), margin(fastest) if fastest > 1.0 else math.nan

@@ -11,7 +11,8 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from numba import njit
 
-from scara_effmass.iso15066 import TRANSIENT_S, SpeedLimit, limits_for, speed_limit_of_mass
+from scara_effmass.iso15066 import TRANSIENT_S, Limit, SpeedLimit, limits_for, speed_limit_of_mass
+from scara_effmass.iso15066.contact import amplification
 from scara_effmass.iso15066.drives import MAX_MOBILITY, servo_reduced_masses
 from scara_effmass.settings import Drives, MonitorSettings, ServoSettings
 
@@ -38,15 +39,23 @@ def servo(request: pytest.FixtureRequest) -> MonitorSettings:
 
 
 def integrate(
-    mass: float, stiffness: float, alpha: float, bandwidth: float, damping: float, stop: float, end: float
+    mass: float,
+    stiffness: float,
+    alpha: float,
+    bandwidth: float,
+    damping: float,
+    stop: float,
+    end: float,
+    viscosity: float = 0.0,
 ) -> float:
     """Return the peak force [N] at 1 m/s within `end`, by Runge-Kutta's fourth order in absolute coordinates.
 
-    `alpha` is 1/m_H, 0 for a clamped body part; the reference moves on until `stop` and then stands still.
+    `alpha` is 1/m_H, 0 for a clamped body part; the reference moves on until `stop` and then stands still. The contact
+    damps by `viscosity` [N s/m].
     """
     servo = 2.0 * math.pi * bandwidth
-    step = 0.03 / max(math.sqrt(stiffness * (1.0 / mass + alpha)), servo)
-    x, vx, y, vy, peak = 0.0, 1.0, 0.0, 0.0, 0.0
+    step = 0.03 / max(math.sqrt(stiffness * (1.0 / mass + alpha)), servo, viscosity * (1.0 / mass + alpha))
+    x, vx, y, vy, peak = 0.0, 1.0, 0.0, 0.0, viscosity
     for start, length, speed in ((0.0, stop, 1.0), (stop, end - stop, 0.0)):
         count = math.ceil(length / step)
         dt = length / count if count else 0.0
@@ -54,13 +63,13 @@ def integrate(
             dx = dvx = dy = dvy = sx = svx = sy = svy = 0.0
             for at, weight in ((0.0, 1.0), (0.5, 2.0), (0.5, 2.0), (1.0, 1.0)):
                 px, pvx, py, pvy = x + at * dt * dx, vx + at * dt * dvx, y + at * dt * dy, vy + at * dt * dvy
-                force = stiffness * max(px - py, 0.0)
+                force = max(stiffness * (px - py) + viscosity * (pvx - pvy), 0.0) if px >= py else 0.0
                 reference = start + (i + at) * dt if speed else stop
                 dx, dy, dvy = pvx, pvy, alpha * force
                 dvx = servo**2 * (reference - px) + 2.0 * damping * servo * (speed - pvx) - force / mass
                 sx, svx, sy, svy = sx + weight * dx, svx + weight * dvx, sy + weight * dy, svy + weight * dvy
             x, vx, y, vy = x + dt / 6.0 * sx, vx + dt / 6.0 * svx, y + dt / 6.0 * sy, vy + dt / 6.0 * svy
-            peak = max(peak, stiffness * (x - y))
+            peak = max(peak, stiffness * (x - y) + viscosity * (vx - vy) if x >= y else 0.0)
     return peak
 
 
@@ -79,6 +88,27 @@ def test_bound_of_a_servo_is_never_exceeded(region: str, bandwidth: float, dampi
         )
         assert force <= found.force(1.0)
         assert found.force(1.0) <= 1.35 * force
+
+
+@given(
+    mass=st.floats(0.05, 100.0),
+    limit=st.sampled_from(limits_for(MonitorSettings())),
+    bandwidth=st.floats(0.5, 30.0),
+    damping=st.floats(0.3, 1.5),
+    contact_damping=st.floats(0.0, 1.0),
+    is_clamped=st.booleans(),
+)
+@hypothesis_settings(max_examples=150)
+def test_damped_contact_exceeds_the_elastic_one_by_its_first_force_at_most(
+    mass: float, limit: Limit, bandwidth: float, damping: float, contact_damping: float, *, is_clamped: bool
+) -> None:
+    """Whichever reduced mass the damping ratio is stated with: that of free joints, or the larger one of the servo."""
+    alpha = 0.0 if is_clamped else 1.0 / limit.body_mass_kg
+    contact = mass, limit.stiffness_n_m, alpha, bandwidth, damping, 0.3, 0.5
+    elastic = peak_force(*contact)
+    for root in (elastic, math.sqrt(limit.stiffness_n_m / (1.0 / mass + alpha))):
+        peak = peak_force(*contact, 2.0 * contact_damping * root)
+        assert peak <= amplification(contact_damping, 0.0, is_clamped=is_clamped) * elastic * 1.004
 
 
 @given(st.floats(0.05, 100.0))

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from scara_effmass.codes import ModelCode
+from scara_effmass.codes import ModelCode, Reason
 from scara_effmass.errors import LimitError, RobotError
 from scara_effmass.iso15066 import BODY_REGIONS, Limit, contact_cases, limits_for
 from scara_effmass.kernel.admission import METRES_PER_RADIAN, WINDOW_S
@@ -893,6 +893,22 @@ def test_scaling_at_rest_is_zero_if_nothing_is_allowed(scara: RobotDynamics) -> 
     (contact,) = decision.contacts
     assert (contact.verdict, contact.speed) == (Verdict.VIOLATION, 0.0)
     assert decision.speed_scaling == 0.0
+
+
+@pytest.mark.parametrize("use_reference", [False, True])
+def test_joint_that_turns_too_far_by_accelerating_is_named(scara: RobotDynamics, *, use_reference: bool) -> None:
+    """The quarter period of 40 kg on 10 N/mm is 0.0993 s, so that 10.1 rad/s2 turn a joint by 0.05 rad."""
+    settings = MonitorSettings(body_regions=("abdomen",))
+    monitor = Monitor(scara, settings, use_reference=use_reference)
+    q, qd = np.array([[0.3, 1.2, 0.1, 0.2]]), np.array([[0.01, 0.01, 0.0, 0.0]])
+    below, above = (
+        monitor.assess_configurations(q, qd, np.array([[0.0, 0.0, 0.0, qdd]])).decision(0).contacts[0]
+        for qdd in (10.0, -10.3)
+    )
+    assert (below.verdict, below.reason_code) == (Verdict.OK, Reason.NONE)
+    assert (above.verdict, above.reason_code) == (Verdict.WARN, Reason.TURNS)
+    assert above.allowable_speed == pytest.approx(below.allowable_speed, rel=0.05)
+    assert above.reason.startswith("joint4 accelerates: until the peak of a contact it would turn 0.051 rad further")
 
 
 @pytest.mark.parametrize("person_speed", [0.0, 1.0])

@@ -52,7 +52,9 @@ def test_release_time_counts_on_header_stamps(scara: RobotDynamics) -> None:
     assert verdict(held) is Verdict.VIOLATION
     assert reason(held).startswith("held after: ")
     assert held.contacts[0].margin > 0.0
-    assert verdict(send(monitor, 110, q1=0.575)) is Verdict.OK
+    released = send(monitor, 110, q1=0.575)
+    assert (verdict(released), released.contacts[0].reason_code) == (Verdict.WARN, Reason.TURNS)  # it brakes
+    assert verdict(send(monitor, 210, q1=0.575)) is Verdict.OK
 
 
 def test_held_unknown_allows_nothing(scara: RobotDynamics) -> None:
