@@ -26,8 +26,7 @@ function(drop_missing_include_directories)
 endfunction()
 cmake_language(DEFER CALL drop_missing_include_directories)
 
-# Only for pip. A workspace builds everything, and takes control_msgs from its ROS, as package.xml says.
-if(SKBUILD_PLATLIB_DIR AND PROJECT_NAME STREQUAL "scara_effmass_msgs")
+if(PROJECT_NAME STREQUAL "scara_effmass_msgs")
   # rclpy with Fast DDS uses only these; the code for C++ would take half of the time.
   find_package(rosidl_default_generators REQUIRED)
   list(FILTER AMENT_EXTENSIONS_rosidl_generate_idl_interfaces INCLUDE REGEX
@@ -42,7 +41,9 @@ if(SKBUILD_PLATLIB_DIR AND PROJECT_NAME STREQUAL "scara_effmass_msgs")
   endfunction()
   cmake_language(DEFER CALL unite_typesupports)
 
-  # control_msgs has no wheel.
-  set(CMAKE_PROJECT_INCLUDE "${CMAKE_CURRENT_LIST_FILE}")
-  add_subdirectory("${CMAKE_CURRENT_LIST_DIR}/control_msgs" control_msgs)
+  # control_msgs has no wheel. A workspace takes it from its ROS, as package.xml says.
+  if(SKBUILD_PLATLIB_DIR)
+    set(CMAKE_PROJECT_INCLUDE "${CMAKE_CURRENT_LIST_FILE}")
+    add_subdirectory("${CMAKE_CURRENT_LIST_DIR}/control_msgs" control_msgs)
+  endif()
 endif()

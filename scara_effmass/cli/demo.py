@@ -278,7 +278,7 @@ def _live_bag(args: argparse.Namespace, topics: list[str], force_topic: str, set
     commands.append(processes.record_command(args))
     replay_command = ["replay", str(args.bag), "--topic", topics[0], "--topics", *topics, "--rate", str(args.rate)]
     replay_command += ["--duration", str(args.duration), "--wait", str(processes.START_TIMEOUT_S), "--json"]
-    replay_command += ["--subscribers", "3"]  # monitor, visualization and recorder
+    replay_command += ["--subscribers", "4"]  # this process, monitor, visualization and recorder
     first_ns = last_ns = 0
     verdicts = Counter[Verdict]()
 

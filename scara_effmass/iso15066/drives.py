@@ -18,8 +18,8 @@ from scara_effmass.values import FloatArray
 MAX_MOBILITY = 20.0
 """Mobility 1/m_n [1/kg] up to which servo contacts are simulated; above it that of an immovable robot bounds them."""
 _MOBILITIES = np.geomspace(0.01, MAX_MOBILITY, 48)
-_TOUCHING = (0.0, 0.1, 0.5, 2.0, 8.0)
-"""Mobilities [1/kg]: of the lines of a hull, each a bound by itself, those that are highest at one of them are kept."""
+_TOUCHING = (0.005, 0.1, 0.5, 2.0, 8.0)
+"""Mobilities [1/kg], none of them simulated: of the lines of a hull, each a bound by itself, those at one are kept."""
 _STEP = 0.1
 """Time step of the simulation, times the larger of the angular frequencies of contact and servo."""
 _TERMS = 24
@@ -55,17 +55,19 @@ def contact_lines(
 def _lower_hull(inverse: FloatArray, alpha: float) -> tuple[Line, ...]:
     """Return the lines at `_TOUCHING` of the lower convex hull of 1/mu at `_MOBILITIES`, and of alpha at 1/m_n = 0.
 
-    Lines that are negative at 1/m_n = 0 bound nothing where the mobility is small. The tangent through the origin
-    replaces them.
+    At a mobility it is the lowest of all chords of a point on the left and one on the right. Lines that are negative at
+    1/m_n = 0 bound nothing where the mobility is small. The tangent through the origin replaces them.
     """
-    from scipy.spatial import ConvexHull  # noqa: PLC0415 - slow, and not needed for free drives
-
-    top = inverse.max() + 1.0
-    x, y = np.append(_MOBILITIES, [0.0, 0.0, MAX_MOBILITY]), np.append(inverse, [alpha, top, top])
-    equations = ConvexHull(np.column_stack((x, y))).equations  # n_x x + n_y y + d = 0
-    lower = [(float(-d / ny), float(max(-nx / ny, 0.0))) for nx, ny, d in equations if ny < -1e-9 and d >= 0.0]
-    lower.append((0.0, float(np.min(inverse / _MOBILITIES))))
-    return tuple({max(lower, key=lambda line: line[0] + line[1] * a) for a in _TOUCHING})
+    x, y = np.append(0.0, _MOBILITIES), np.append(alpha, inverse)
+    lines = [(0.0, float(np.min(inverse / _MOBILITIES)))]
+    for touching in _TOUCHING:
+        left, right = x <= touching, x > touching
+        slopes = (y[right] - y[left, None]) / (x[right] - x[left, None])
+        heights = y[left, None] + slopes * (touching - x[left, None])
+        i, j = np.unravel_index(np.argmin(heights), heights.shape)
+        lines.append((float(y[left][i] - slopes[i, j] * x[left][i]), float(max(slopes[i, j], 0.0))))
+    lines = [line for line in lines if line[0] >= 0.0]
+    return tuple({max(lines, key=lambda line: line[0] + line[1] * a) for a in _TOUCHING})
 
 
 def servo_reduced_masses(

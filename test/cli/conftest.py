@@ -14,6 +14,7 @@ import pytest
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.cli import main
 from scara_effmass.values import JointState
+from test.forked import Forked
 
 Cli = Callable[..., subprocess.CompletedProcess[str]]
 Refused = Callable[..., str]
@@ -60,7 +61,11 @@ def cli_process(tmp_path: Path, domain: dict[str, str]) -> Cli:
 
     def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
         command = [sys.executable, "-m", "scara_effmass", *map(str, arguments)]
-        return subprocess.run(command, cwd=tmp_path, env=domain, capture_output=True, text=True, check=False)
+        with Forked(
+            command, cwd=tmp_path, env=domain, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        ) as process:
+            output, errors = process.communicate()
+        return subprocess.CompletedProcess(command, process.returncode, output, errors)
 
     return run
 
@@ -114,7 +119,7 @@ def start(domain: dict[str, str]) -> Iterator[Callable[..., subprocess.Popen[str
 
         def run(*arguments: str | Path) -> subprocess.Popen[str]:
             words = [sys.executable, "-m", "scara_effmass", *map(str, arguments)]
-            process = subprocess.Popen(words, env=domain, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+            process = Forked(words, env=domain, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
             running.enter_context(process)
             running.callback(process.kill)
             return process

@@ -29,6 +29,7 @@ from std_msgs.msg import Float64
 
 from scara_effmass.errors import EffmassError
 from scara_effmass.nodes.lifecycle import LifecycleBase
+from test.forked import Forked
 
 TIMEOUT_S = 120.0
 """Maximum wait [s] for any event; a test that waits longer fails."""
@@ -122,7 +123,7 @@ class NodeHarness:
     def start(self, *arguments: str, command: Sequence[str] = (str(MONITOR_NODE),)) -> subprocess.Popen[str]:
         """Start the node with `arguments`, its output piped."""
         environment = node_environment(self.domain, self.directory)
-        self.process = subprocess.Popen(
+        self.process = Forked(
             [*command, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
         )
         return self.process
