@@ -191,7 +191,8 @@ class PlateSim:
         offset = float(normal @ self._position(point))
         acceleration, half = np.zeros(self.n), velocity.copy()
         free_torque = np.zeros(self.n) if servo or not qdd.any() else self._torque_of(velocity, qdd)
-        plate, plate_half, sliding = 0.0, person * pace, SLIDING * float(np.linalg.norm(jacobian @ velocity)) + TINY
+        plate, plate_half, push = 0.0, person * pace, np.zeros(3)
+        sliding = SLIDING * float(np.linalg.norm(jacobian @ velocity)) + TINY
         time = depth = step = 0.0
         peak = Peak(0.0, 0.0, 0.0)
         while time < duration:
@@ -202,7 +203,7 @@ class PlateSim:
             last_depth, depth = depth, float(normal @ self._position(point)) - offset - plate
             if not math.isfinite(depth):
                 raise ArithmeticError(f"{self._robot.name}: simulation of an impact diverged after {time:.6f} s")
-            slip = self._jacobian(point) @ data.qvel - plate_half
+            slip = self._jacobian(point) @ data.qvel - plate_half - 0.5 * step * push / limit.body_mass_kg
             closing = float(normal @ slip)
             force = max(k * depth + damping * closing, 0.0) if depth > 0.0 or time == 0.0 else 0.0
             slip -= closing * normal

@@ -26,12 +26,13 @@ from scipy.optimize import brentq, linprog
 from scara_effmass.codes import Reason
 from scara_effmass.input_files import read_table
 from scara_effmass.iso15066 import Limit, limits_for
-from scara_effmass.iso15066.contact import contact_time
+from scara_effmass.iso15066.contact import MAX_TURN, contact_time, turn_until_peak
 from scara_effmass.kernel.state import CODE
 from scara_effmass.model.load import load_robot
+from scara_effmass.model.lumping import is_scara
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
-from scara_effmass.settings import MonitorSettings, ServoSettings
+from scara_effmass.settings import MassModel, MonitorSettings, ServoSettings
 from scara_effmass.share import share
 from scara_effmass.sim.plate_sim import AT_REST, PlateSim, Surface
 from scara_effmass.studies.random_arm import random_arm
@@ -254,6 +255,37 @@ def random_contacts(count: int, rng: np.random.Generator) -> FloatArray:
     return np.array(ratios)
 
 
+def turning_contacts(count: int, rng: np.random.Generator) -> FloatArray:
+    """Return the peak force over the limit (count,) of the abdomen where joints accelerate as far as MAX_TURN allows.
+
+    Those with short levers accelerate most, because the others change the contact point's speed. Robot, pose, motion
+    and drives (free, or a servo of 1 to 20 Hz) are random; the plate has the worst normal, and the margins are on.
+    """
+    names, ratios = [*ROBOTS], list[float]()
+    while len(ratios) < count:
+        name = f"{RANDOM_ARM}{rng.integers(RANDOM_ARMS)}" if rng.integers(2) else names[rng.integers(len(names))]
+        arm, point = arm_of(name), 0
+        servo = ServoSettings(bandwidth=float(rng.choice((1.0, 5.0, 20.0))), computed_torque=bool(rng.integers(2)))
+        model = MassModel.AUTO if is_scara(arm.dynamics.robot) else MassModel.FULL
+        settings = MonitorSettings(body_regions=("abdomen",), servo=servo, effective_mass_model=model)
+        (limit,) = limits_for(settings)
+        arm.sim.scale_masses(np.ones(arm.sim.n))
+        q, creep = arm.draw_motion(rng, point, straight=bool(rng.integers(2)))
+        levers = np.linalg.norm(arm.sim.kinematics(q, point)[0], axis=0)
+        turns = rng.normal(size=arm.sim.n) / np.maximum(levers, 0.02 * levers.max()) * rng.integers(2, size=arm.sim.n)
+        if not turns.any():
+            continue
+        turns *= rng.uniform(0.2, 1.0) * MAX_TURN / np.max(np.abs(turns))
+        qdd = turns / turn_until_peak(1.0, limit.body_mass_kg, limit.stiffness_n_m)
+        qd = arm.allowed(q, creep, settings, point, qdd)
+        if qd is not None and qd.any():
+            pushing, lasting = servo if rng.integers(2) else None, contact_time(limit.body_mass_kg, limit.stiffness_n_m)
+            normal = arm.sim.worst_normal(q, qd, limit, pushing, point)
+            peak = arm.sim.touch(q, qd, normal, limit, pushing, point, qdd=qdd, accelerates_for=lasting)
+            ratios.append(peak.force / limit.permissible_force_n)
+    return np.array(ratios)
+
+
 def force_parts(
     arm: MonitoredArm, count: int, rng: np.random.Generator, servo: ServoSettings, **settings: object
 ) -> FloatArray:
@@ -343,6 +375,10 @@ def main() -> None:
     console.print(
         f"random arms, too, and random joint velocities: {len(ratio)} contacts, {above}, max {ratio.max():.4f}"
     )
+    ratio = turning_contacts(5 * args.poses, np.random.default_rng(args.seed))
+    above = f"{100.0 * np.mean(ratio > 1.0):.2f} % above 1"
+    turning = f"joints turn up to {MAX_TURN:g} rad further by accelerating"
+    console.print(f"{turning}: {len(ratio)} contacts, {above}, max {ratio.max():.4f}")
     console.print("## Drives push on for 0.5 s")
     table = Table("arm", "bandwidth", "region", "drives", *columns, box=box.MARKDOWN)
     count = max(args.poses // 8, 1)

@@ -133,6 +133,11 @@ def test_damping_and_friction_that_are_stated_are_in_the_bound(
     assert unstated > 1.01
 
 
+def test_joints_that_accelerate_up_to_the_warning_keep_the_limit() -> None:
+    ratio = bounds.turning_contacts(12, np.random.default_rng(3))
+    assert 0.3 < ratio.max() < 1.0
+
+
 @pytest.mark.parametrize("bandwidth", [1.0, 5.0, 20.0])
 @pytest.mark.parametrize("computed_torque", [False, True])
 def test_clamping_by_a_servo_that_stops_stays_within_its_bound(
