@@ -122,8 +122,8 @@ def run(request: dict[str, Any]) -> int:
     random.seed()
     command = request["command"]
     if tuple(command[:3]) == MODULE:
-        sys.argv = [str(Path(import_module("scara_effmass").__file__).with_name("__main__.py")), *command[3:]]
-        main = import_module("scara_effmass.__main__").main
+        module = import_module("scara_effmass.__main__")
+        sys.argv, main = [str(module.__file__), *command[3:]], module.main
     else:
         sys.argv = command
         main = SCRIPTS[Path(command[0]).name].load()
