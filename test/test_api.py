@@ -17,7 +17,7 @@ def test_readme_example_prints_verdict_mass_and_allowable_speed(capsys: pytest.C
     example = re.search(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
     assert example is not None
     exec(compile(example[1], str(README), "exec"), {})  # noqa: S102 - written by the project
-    assert capsys.readouterr().out == "OK 1.12 kg 0.527 m/s\nWARN 3.22 kg 0.154 m/s\n"
+    assert capsys.readouterr().out == "OK 1.12 kg 0.536 m/s\nWARN 3.22 kg 0.160 m/s\n"
 
 
 @pytest.mark.live

@@ -41,7 +41,7 @@ OTHERS: Mapping[Assumption, tuple[str, Change]] = {
     Assumption.CONTACT_SURFACE: ("normal along the velocity", lambda *_: {"contact_normal": "velocity"}),
     Assumption.PERSON_SPEED: ("a person who walks, 1.6 m/s", lambda *_: {"person_speed": 1.6}),
     Assumption.ACCELERATION: ("3 m/s2", lambda *_: {"max_acceleration": 3.0}),
-    Assumption.CONTACT_DAMPING: ("ratio 0.3", lambda *_: {"contact_damping": 0.3}),
+    Assumption.CONTACT_DAMPING: ("ratio 0.6", lambda *_: {"contact_damping": 0.6}),
     Assumption.CONTACT_FRICTION: ("coefficient 0.5", lambda *_: {"contact_friction": 0.5}),
 }
 """For each assumption another value, and the settings with it."""
