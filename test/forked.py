@@ -28,6 +28,8 @@ NODES = ("monitor", "daq", "speed_scaling", "validator", "visualization")
 SCRIPTS = {e.name: e for e in entry_points(group="console_scripts") if e.value.startswith("scara_effmass.")}
 MODULE = (sys.executable, "-m", "scara_effmass")
 READ_AT_IMPORT = ("LD_", "NUMBA_", "OMP_", "OPENBLAS_", "PATH", "PYTHON", "XDG_CACHE_HOME", "HOME")
+AT_START = dict(os.environ)
+"""Environment of the server, before a test changes it."""
 PR_SET_CHILD_SUBREAPER = 36
 
 
@@ -37,12 +39,7 @@ def can_fork(command: list[str], environment: Mapping[str, str]) -> bool:
         Path(command[0]).parent == Path(sys.executable).parent and Path(command[0]).name in SCRIPTS
     )
     names = {name for name in {*environment, *os.environ} if name.startswith(READ_AT_IMPORT)}
-    return is_known and all(environment.get(name) == _at_start().get(name) for name in names)
-
-
-@cache
-def _at_start() -> Mapping[str, str]:
-    return dict(os.environ)
+    return is_known and all(environment.get(name) == AT_START.get(name) for name in names)
 
 
 @cache
@@ -53,7 +50,7 @@ def _server() -> tuple[socket.socket, subprocess.Popen[bytes]]:
     with other:
         descriptor = other.fileno()
         words = [sys.executable, __file__, str(descriptor)]
-        return own, subprocess.Popen(words, pass_fds=[descriptor], env=_at_start())
+        return own, subprocess.Popen(words, pass_fds=[descriptor], env=AT_START)
 
 
 class Forked(subprocess.Popen[str]):

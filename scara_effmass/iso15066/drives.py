@@ -19,7 +19,7 @@ MAX_MOBILITY = 20.0
 """Mobility 1/m_n [1/kg] up to which servo contacts are simulated; above it that of an immovable robot bounds them."""
 _MOBILITIES = np.geomspace(0.01, MAX_MOBILITY, 48)
 _TOUCHING = (0.005, 0.1, 0.5, 2.0, 8.0)
-"""Mobilities [1/kg], none of them simulated: of the lines of a hull, each a bound by itself, those at one are kept."""
+"""Mobilities [1/kg] between the simulated ones, at which a line of a hull is kept; each line is a bound by itself."""
 _STEP = 0.1
 """Time step of the simulation, times the larger of the angular frequencies of contact and servo."""
 _TERMS = 24
@@ -65,7 +65,7 @@ def _lower_hull(inverse: FloatArray, alpha: float) -> tuple[Line, ...]:
         slopes = (y[right] - y[left, None]) / (x[right] - x[left, None])
         heights = y[left, None] + slopes * (touching - x[left, None])
         i, j = np.unravel_index(np.argmin(heights), heights.shape)
-        lines.append((float(y[left][i] - slopes[i, j] * x[left][i]), float(max(slopes[i, j], 0.0))))
+        lines.append((float(y[left][i] - slopes[i, j] * x[left][i]), float(slopes[i, j])))
     lines = [line for line in lines if line[0] >= 0.0]
     return tuple({max(lines, key=lambda line: line[0] + line[1] * a) for a in _TOUCHING})
 

@@ -233,18 +233,23 @@ def contacts(
     return np.array(results)
 
 
+def any_arm(rng: np.random.Generator) -> MonitoredArm:
+    """Return an arm of ROBOTS or, as often, a random one, with the masses of its file."""
+    name = f"{RANDOM_ARM}{rng.integers(RANDOM_ARMS)}" if rng.integers(2) else [*ROBOTS][rng.integers(len(ROBOTS))]
+    arm = arm_of(name)
+    arm.sim.scale_masses(np.ones(arm.sim.n))
+    return arm
+
+
 def random_contacts(count: int, rng: np.random.Generator) -> FloatArray:
     """Return the peak force over the limit (count,) with free joints, all margins 0, and the worst plates.
 
     Robot (every other one a random arm), contact point, region, pose and all joint velocities are random.
     """
     regions = [limit.region for limit in limits_for(settings_for())]
-    names = [*ROBOTS]
     ratios: list[float] = []
     while len(ratios) < count:
-        name = f"{RANDOM_ARM}{rng.integers(RANDOM_ARMS)}" if rng.integers(2) else names[rng.integers(len(names))]
-        arm, settings = arm_of(name), settings_for(regions[rng.integers(len(regions))])
-        arm.sim.scale_masses(np.ones(arm.sim.n))
+        arm, settings = any_arm(rng), settings_for(regions[rng.integers(len(regions))])
         point = int(rng.integers(len(arm.dynamics.contact_points)))
         q, creep = arm.draw_motion(rng, point, straight=False)
         qd = arm.allowed(q, creep, settings, point)
@@ -261,15 +266,13 @@ def turning_contacts(count: int, rng: np.random.Generator) -> FloatArray:
     Those with short levers accelerate most, because the others change the contact point's speed. Robot, pose, motion
     and drives (free, or a servo of 1 to 20 Hz) are random; the plate has the worst normal, and the margins are on.
     """
-    names, ratios = [*ROBOTS], list[float]()
+    ratios: list[float] = []
     while len(ratios) < count:
-        name = f"{RANDOM_ARM}{rng.integers(RANDOM_ARMS)}" if rng.integers(2) else names[rng.integers(len(names))]
-        arm, point = arm_of(name), 0
+        arm, point = any_arm(rng), 0
         servo = ServoSettings(bandwidth=float(rng.choice((1.0, 5.0, 20.0))), computed_torque=bool(rng.integers(2)))
         model = MassModel.AUTO if is_scara(arm.dynamics.robot) else MassModel.FULL
         settings = MonitorSettings(body_regions=("abdomen",), servo=servo, effective_mass_model=model)
         (limit,) = limits_for(settings)
-        arm.sim.scale_masses(np.ones(arm.sim.n))
         q, creep = arm.draw_motion(rng, point, straight=bool(rng.integers(2)))
         levers = np.linalg.norm(arm.sim.kinematics(q, point)[0], axis=0)
         turns = rng.normal(size=arm.sim.n) / np.maximum(levers, 0.02 * levers.max()) * rng.integers(2, size=arm.sim.n)
