@@ -44,8 +44,7 @@ def can_fork(command: list[str], environment: Mapping[str, str]) -> bool:
 
 @cache
 def _server() -> tuple[socket.socket, subprocess.Popen[bytes]]:
-    """Start the process that forks, until its socket is closed; this process can wait for the forks as for children."""
-    ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1)
+    """Start the process that forks, until its socket is closed."""
     own, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     with other:
         descriptor = other.fileno()
@@ -65,8 +64,11 @@ class Forked(subprocess.Popen[str]):
         request = {"command": command, "environment": dict(environment), "folder": str(folder or Path.cwd())}
         streams = [max(p2cread, 0), c2pwrite if c2pwrite >= 0 else 1, errwrite if errwrite >= 0 else 2]
         server, _ = _server()
+        # The fork becomes a child of this process. Other orphans must not, since nothing here waits for them.
+        ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1)
         socket.send_fds(server, [json.dumps(request).encode()], streams)
         self.pid = int(server.recv(64))
+        ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 0)
         self._child_created = True
         self._close_pipe_fds(p2cread, p2cwrite, c2pread, c2pwrite, errread, errwrite)  # type: ignore[attr-defined]
 
