@@ -37,6 +37,12 @@ _PERIOD_S = 0.1
 """Period of topic discovery and of the check for a stop signal."""
 _DRAIN_TIMEOUT_S = 10.0
 """Maximum time to record the messages that have arrived before the end."""
+_REPEAT_S = 3.5
+"""Time in which a reliable publisher of Fast DDS repeats a lost message, which holds back all later ones."""
+_RATE_S = 1.0
+"""Time of messages from which a topic has a mean interval."""
+_LATE_INTERVALS = 10
+"""Mean intervals of a topic after which its next message is late."""
 _CLOCK_WARNING_AFTER = 20
 """Discoveries without /clock before a warning."""
 HANG_S = 30.0
@@ -95,8 +101,11 @@ def record(
                 seconds = time.monotonic() - start
                 progress(recorder.report(), seconds)
             if context.ok():
+                end_ns = time.time_ns()
                 # This task runs after the messages that have already arrived.
-                spin_for(client.executor, _DRAIN_TIMEOUT_S, client.executor.create_task(lambda: None).done)
+                arrived = client.executor.create_task(lambda: None)
+                spin_for(client.executor, _DRAIN_TIMEOUT_S, arrived.done)
+                spin_for(client.executor, _REPEAT_S, lambda: not topic_recorder.late_topics(end_ns))
             report = recorder.close()
         return RecordReport(
             recording=report,
@@ -175,6 +184,8 @@ class TopicRecorder:
         self._indices: dict[str, int] = {}
         self._types: dict[str, str] = {}
         self._subscriptions: dict[str, Any] = {}
+        self._published: dict[str, tuple[int, int, int]] = {}
+        """Messages of each topic, and when the first and the last were published [ns]."""
         self._incompatible: set[str] = set()
         self._discoveries_without_clock = 0
 
@@ -182,6 +193,20 @@ class TopicRecorder:
     def recorded(self) -> Collection[str]:
         """The topics that are recorded."""
         return self._indices.keys()
+
+    def late_topics(self, now_ns: int) -> list[str]:
+        """Return the topics whose publishers have published since the last message, but the middleware holds it back.
+
+        That is a guess by their mean interval at the system time `now_ns`; a topic that has long been silent has ended.
+        """
+        late = []
+        for name, (count, first_ns, last_ns) in self._published.items():
+            has_rate = last_ns - first_ns > _RATE_S * 1e9
+            is_late = (now_ns - last_ns) * (count - 1) > _LATE_INTERVALS * (last_ns - first_ns)
+            is_recent = time.time_ns() - last_ns < _REPEAT_S * 1e9
+            if has_rate and is_late and is_recent and self._node.count_publishers(name):
+                late.append(name)
+        return late
 
     def discover(self) -> None:
         """Subscribe to new topics, and again to topics with an incompatible publisher."""
@@ -252,15 +277,18 @@ class TopicRecorder:
         self._subscriptions[name] = self._node.create_subscription(
             installed_class,
             name,
-            with_info(partial(self._on_message, index, SequenceGaps(partial(self._node.count_publishers, name)))),
+            with_info(partial(self._on_message, name, index, SequenceGaps(partial(self._node.count_publishers, name)))),
             qos_profile(qos),
             raw=True,
             event_callbacks=SubscriptionEventCallbacks(incompatible_qos=lambda _: self._incompatible.add(name)),
         )
 
-    def _on_message(self, index: int, gaps: SequenceGaps, data: bytes, info: Mapping[str, Any]) -> None:
+    def _on_message(self, name: str, index: int, gaps: SequenceGaps, data: bytes, info: Mapping[str, Any]) -> None:
         if self._count_lost and (lost := gaps.lost_before(info["publication_sequence_number"])):
             self._count_lost(index, lost)
+        published_ns = info["source_timestamp"]
+        count, first_ns, _ = self._published.get(name, (0, published_ns, 0))
+        self._published[name] = count + 1, first_ns, published_ns
         self._recorder.write(index, self._clock.now().nanoseconds, data)
 
 

@@ -156,6 +156,25 @@ def test_messages_received_before_the_stop_signal_are_recorded(rig: Rig) -> None
     assert rig.read() == published
 
 
+def test_topic_that_is_late_is_waited_for(rig: Rig) -> None:
+    def script() -> Iterator[None]:
+        publisher = rig.node.create_publisher(Float64, "data", DEEP)
+        while not have_subscribers(publisher):
+            yield
+        while rig.recorded() < 15:
+            publisher.publish(Float64())
+            yield
+        silent_since = time.monotonic()
+        threading.Timer(2.2, publisher.publish, [Float64(data=7.0)]).start()  # as if it were held back
+        while time.monotonic() < silent_since + 1.7:
+            yield
+
+    started = time.monotonic()
+    report = rig.record(script(), topics=("data",))
+    assert rig.read()[-1] == ("/data", serialize_message(Float64(data=7.0)))
+    assert time.monotonic() - started < report.seconds + 2.0  # not all the time in which messages are repeated
+
+
 def test_earlier_latched_message_is_recorded(rig: Rig) -> None:
     publisher = rig.node.create_publisher(String, "robot_description", LATCHED)
     publisher.publish(text("a robot"))
@@ -349,7 +368,7 @@ def test_messages_lost_by_the_middleware_are_counted_by_their_numbers(
         topic_recorder = TopicRecorder(rig.node, recorder, ["/notes"], rig.warnings.append, count_lost=count_lost)
         topic_recorder.discover()
         for number in (7, 8, 11, 12, 1, 2, 5):  # the publisher starts again after 12
-            callbacks[0](text(str(number)), {"publication_sequence_number": number})
+            callbacks[0](text(str(number)), {"publication_sequence_number": number, "source_timestamp": 0})
     assert recorder.report().topics["/notes"].lost == LossCounts(middleware=4)
     assert publisher.topic_name == "/notes"
 
