@@ -118,9 +118,12 @@ class ContactAssessment(NamedTuple):
     `lumped_mass` and `full_mass` [kg] are NaN if the robot has no such model. Under UNKNOWN, what could not be computed
     is 0. Masses and `predicted_force` [N] are nominal; `force_bound` [N], `allowable_speed` and `margin` [m/s] include
     drives and uncertainty margins, on the safe side. `body_mass` [kg] is that of the body part, 0 if it is clamped.
-    `mass_model_reason` states why `mass_model` decides; `reason_code` is the code of `reason`.
+    `mass_model_reason` states why `mass_model` decides; `reason_code` is the code of `reason`. `position` [m] is where
+    the contact counts, in the base: for a link as a whole its worst place, `position_in_link` in its own frame.
     """
 
+    position: Annotated[Vector3, "m"]
+    position_in_link: Annotated[Vector3, "m"]
     direction: Vector3
     speed: Annotated[float, "m_s"]
     effective_mass: Annotated[float, "kg"]

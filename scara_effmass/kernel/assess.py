@@ -23,6 +23,11 @@ from scara_effmass.kernel.contact_point import (
     squared_jacobian,
 )
 from scara_effmass.kernel.dynamics import fill_dynamics
+from scara_effmass.kernel.hull import (
+    place_on_link,
+    set_hull,
+    worst_reduced_mass,
+)
 from scara_effmass.kernel.jit import compiled, inlined
 from scara_effmass.kernel.mobility import (
     along,
@@ -30,7 +35,6 @@ from scara_effmass.kernel.mobility import (
     set_scalars,
     smallest_eigenvalue,
     trace,
-    worst_reduced_mass,
 )
 from scara_effmass.kernel.model_choice import Choice, choose_models, largest_along, mass_along, worst_mass
 from scara_effmass.kernel.person import person_of, set_principal, set_single
@@ -38,6 +42,8 @@ from scara_effmass.kernel.pose_change import assign, assign_symmetric, turn_chan
 from scara_effmass.kernel.records import (
     CASE,
     CONTACT,
+    HULL_KNOWN,
+    HULL_MASS,
     MIN_NORMAL_COMPONENT,
     POINT,
     SETUP,
@@ -50,11 +56,11 @@ from scara_effmass.kernel.records import (
     Setup,
     Work,
 )
-from scara_effmass.kernel.spatial import dot
+from scara_effmass.kernel.spatial import dot, matrix_at, rotate_back, sub, vector, vector_at
 from scara_effmass.kernel.speed_limit import Bound, Drives, governing_case, governing_person_case
 from scara_effmass.kernel.state import STATE, VALUES, set_reason
 from scara_effmass.kernel.static_force import clamping_force, holding_force
-from scara_effmass.values import NO_MOBILITY, FloatArray, Mobility6, Vector3, Verdict
+from scara_effmass.values import NO_MOBILITY, ZERO_VECTOR, FloatArray, Mobility6, Vector3, Verdict
 
 EIGENVALUE_ROUNDING = 1e-12
 """Ratio of an eigenvalue of J_v J_v^T to its trace, up to which it counts as 0: its root would be rounding."""
@@ -109,7 +115,7 @@ def person_share(approach: Approach, setup: Setup, work: Work) -> float:
 
 
 @inlined
-def fill_mobilities(choice: Choice, approach: Approach, setup: Setup, work: Work) -> tuple[int, int]:
+def fill_mobilities(choice: Choice, approach: Approach, point: Point, setup: Setup, work: Work) -> tuple[int, int]:
     """Write the mobilities of the models that decide; return their number, and that with joints that are held."""
     models, held = 0, approach.held
     changes = approach.is_moving and setup.normal != Normal.VELOCITY
@@ -119,6 +125,9 @@ def fill_mobilities(choice: Choice, approach: Approach, setup: Setup, work: Work
         any_normal, out = work.any_normal[models], work.mobilities[models]
         any_normal.change_rank, out.change_rank, out.rank = 0, 0, approach.rank
         models += 1
+        kind = HULL_MASS if k == Model.ISO else HULL_KNOWN
+        set_hull(any_normal, kind, k, approach, point, work)
+        set_hull(out, kind, k, approach, point, work)
         if k == Model.ISO:
             set_scalar(any_normal, 1.0 / setup.iso_mass)
             set_scalar(out, 1.0 / setup.iso_mass)
@@ -139,6 +148,7 @@ def fill_mobilities(choice: Choice, approach: Approach, setup: Setup, work: Work
         for k in range(2):
             if choice.takes[k]:
                 add_held(k, approach, held, changes, setup, work, work.mobilities[count])
+                set_hull(work.mobilities[count], HULL_KNOWN, 2 + k, approach, point, work)
                 count += 1
     return models, count
 
@@ -181,12 +191,12 @@ def deciding_mass(choice: Choice, setup: Setup, work: Work) -> tuple[int, float,
 
 @inlined
 def fill_limits(
-    setup: Setup, cases: Sequence[Case], work: Work, contact: Contact, choice: Choice, approach: Approach
+    setup: Setup, cases: Sequence[Case], work: Work, contact: Contact, choice: Choice, approach: Approach, point: Point
 ) -> None:
     """Write what follows from the models that decide: masses, speeds, forces and the verdict."""
     cap = setup.mass_cap
     model, mass, worst = deciding_mass(choice, setup, work)
-    models, count = fill_mobilities(choice, approach, setup, work)
+    models, count = fill_mobilities(choice, approach, point, setup, work)
     acceleration, min_mobility, max_force = math.inf, 0.0, math.inf
     if setup.is_servo:
         acceleration, min_mobility = drive_acceleration(approach.joints, setup, work), 1.0 / worst
@@ -205,7 +215,7 @@ def fill_limits(
     mu = mass if case.body_mass == math.inf else 1.0 / (1.0 / mass + 1.0 / case.body_mass)
     worst_mu = 0.0
     for k in range(models):
-        worst_mu = max(worst_mu, worst_reduced_mass(work.any_normal[k], 1.0 / case.body_mass, 1.0))
+        worst_mu = max(worst_mu, worst_reduced_mass(work.any_normal[k], 1.0 / case.body_mass, 1.0, 0.0))
     contact.effective_mass, contact.mass_capped = min(mass, cap), 1.0 if mass > cap else 0.0
     contact.worst_direction_mass = min(cap, worst)
     contact.body_mass = 0.0 if case.body_mass == math.inf else case.body_mass
@@ -318,13 +328,28 @@ def set_motion(contact: Contact, approach: Approach, choice: Choice, setup: Setu
 
 
 @inlined
+def set_place(contact: Contact, approach: Approach, point: Point, work: Work) -> None:
+    """Write where the contact counts, in base axes and in the frame of the point or link."""
+    assign(contact.position, approach.place)
+    lever = rotate_back(
+        matrix_at(work.rotations, point.joint), sub(approach.place, vector_at(work.places, point.joint))
+    )
+    in_frame = rotate_back(
+        (vector_at(point.rotation, 0), vector_at(point.rotation, 1), vector_at(point.rotation, 2)),
+        sub(lever, vector(point.place)),
+    )
+    assign(contact.position_in_link, in_frame if approach.vertex >= 0 else ZERO_VECTOR)
+
+
+@inlined
 def assess_point(
     setup: Setup, cases: Sequence[Case], work: Work, point: Point, motion: FloatArray, age: float, contact: Contact
 ) -> None:
     """Write the assessment of one contact point."""
-    approach = approach_of(point, motion, age, setup, work)
-    choice = choose_models(approach, setup, work)
+    approach = approach_of(point, place_on_link(point, setup, work), motion, age, setup, work)
+    choice = choose_models(approach, point.vertex_count > 0, setup, work)
     set_motion(contact, approach, choice, setup, work)
+    set_place(contact, approach, point, work)
     error = choice.error
     contact.clamping_force = clamping_force(approach, setup, work) if setup.clamps else 0.0
     if contact.clamping_force == math.inf and not setup.is_servo:
@@ -338,7 +363,7 @@ def assess_point(
     contact.mass_model_reason = choice.why if error == Reason.NONE else 0.0
     set_reason(contact.reason, Reason.NONE, 0, 0.0, 0.0, 0.0)
     if error == Reason.NONE:
-        fill_limits(setup, cases, work, contact, choice, approach)
+        fill_limits(setup, cases, work, contact, choice, approach, point)
     else:
         explain(error, choice.error_value, contact)
     if contact.clamping_force == math.inf:

@@ -24,6 +24,8 @@ from scara_effmass.kernel.records import (
 from scara_effmass.model.lumping import is_scara, lumped_suffices
 from scara_effmass.model.robot import Robot
 from scara_effmass.reference import RobotDynamics
+from scara_effmass.reference.hull import hull_mobility
+from scara_effmass.reference.pose_state import ContactPoint
 from scara_effmass.settings import ContactType, Drives, MonitorSettings
 from scara_effmass.values import ZERO_VECTOR, FloatArray, Vector3
 
@@ -42,8 +44,7 @@ class ContactKernel:
         """Copy what the functions need. `limits` are those of `settings`."""
         self._dynamics = dynamics
         cases = contact_cases(limits, settings)
-        frames = [(dynamics.robot.model.frames[frame], rank) for _, frame, rank in dynamics.contacts]
-        points = [Point(frame.parentJoint - 1, rank, frame.placement.translation) for frame, rank in frames]
+        points = [_point(dynamics.robot, contact) for contact in dynamics.contacts]
         rows = [_case(case, limits.index(case.limit)) for case in cases]
         self._arrays = _bytes([self._setup(settings, cases)]), _bytes(points), _bytes(rows)
         self._spare: list[ByteArray] = []
@@ -105,6 +106,7 @@ class ContactKernel:
             min_alpha=min((alpha / beta for case in cases for alpha, beta in case.lines if beta), default=0.0),
             min_stiffness=min(case.stiffness for case in cases),
             max_drive_time=max(case.drive_time or 0.0 for case in cases),
+            hull_mobility=hull_mobility(cases),
             gravity=model.gravity.linear,
         )
 
@@ -136,6 +138,12 @@ class ContactKernel:
             scratch = np.empty(WORK.itemsize, np.uint8)
         assess_states(states, motions, *self._arrays, numbers, scratch)
         self._spare.append(scratch)
+
+
+def _point(robot: Robot, contact: ContactPoint) -> Point:
+    frame, vertices = robot.model.frames[contact.frame], contact.vertices
+    pose = frame.placement
+    return Point(frame.parentJoint - 1, contact.rank, pose.translation, pose.rotation, len(vertices), vertices)
 
 
 def _case(case: ContactCase, region: int) -> Case:

@@ -46,7 +46,7 @@ class Approach(NamedTuple):
     at least MIN_NORMAL_COMPONENT; it is 1 at rest and without a fixed normal. Accelerations are those `shown` by the
     joint states, J_v qdd, with its `error`, and of `held` joint velocities. If it `is_limited`, the error is the stated
     limit of the acceleration. `fastest_joint` has the largest
-    `joint_acceleration` [rad/s2, m/s2] of those before the point.
+    `joint_acceleration` [rad/s2, m/s2] of those before the point. `vertex` is that of the hull of a link, else -1.
     """
 
     joints: int
@@ -65,6 +65,7 @@ class Approach(NamedTuple):
     is_limited: bool
     fastest_joint: int
     joint_acceleration: float
+    vertex: int
 
 
 @inlined
@@ -76,13 +77,15 @@ def in_base(joint: int, array: FloatArray, rotations: FloatArray) -> Vector3:
 
 
 @inlined
-def approach_of(point: Point, motion: FloatArray, age: float, setup: Setup, work: Work) -> Approach:
+def approach_of(point: Point, vertex: int, motion: FloatArray, age: float, setup: Setup, work: Work) -> Approach:
     """Write the rows of J_v^T and dJ_v^T/dt; return the motion of the contact point.
 
-    `motion` has the tolerances of qd in row 2, accelerations and their errors in rows 3 and 4; it is `age` [s] old.
+    That is `vertex` of the hull of a link, unless it is -1. `motion` has the tolerances of qd in row 2, accelerations
+    and their errors in rows 3 and 4; it is `age` [s] old.
     """
     joint = point.joint
-    place = add(vector_at(work.places, joint), in_base(joint, point.place, work.rotations))
+    lever = in_base(joint, point.place, work.rotations) if vertex < 0 else vector_at(work.vertices, vertex)
+    place = add(vector_at(work.places, joint), lever)
     velocity, shown, tolerance, error = ZERO_VECTOR, ZERO_VECTOR, 0.0, 0.0
     fastest, joint_acceleration = 0, 0.0
     for i in range(joint + 1):
@@ -130,6 +133,7 @@ def approach_of(point: Point, motion: FloatArray, age: float, setup: Setup, work
         is_limited,
         fastest,
         joint_acceleration,
+        vertex,
     )
 
 

@@ -109,7 +109,7 @@ def set_scalars(out: Mobility, m: Mobility6, n: Vector3, rank: int) -> None:
 
 
 @inlined
-def worst_reduced_mass(m: Mobility, alpha: float, beta: float) -> float:
+def point_reduced_mass(m: Mobility, alpha: float, beta: float) -> float:
     """Return v^T (alpha 1 + beta A)^-1 v."""
     if beta <= 0.0:
         return inverse(alpha)

@@ -65,8 +65,11 @@ def massless_joint(approach: Approach, setup: Setup, work: Work) -> tuple[bool, 
 
 
 @inlined
-def choose_models(approach: Approach, setup: Setup, work: Work) -> Choice:
-    """Write `masses` along the velocity and `worst` of the models that decide; return the choice."""
+def choose_models(approach: Approach, is_link: bool, setup: Setup, work: Work) -> Choice:  # noqa: FBT001 - compiled
+    """Write `masses` along the velocity and `worst` of the models that decide; return the choice.
+
+    Of a link, the lumped model is compared at one place, so the full one decides as well.
+    """
     masses, worst, count, rank = work.masses, work.worst, approach.joints, approach.rank
     lumped = full = NO_MOBILITY
     masses[Model.LUMPED] = masses[Model.FULL] = worst[Model.LUMPED] = worst[Model.FULL] = math.nan
@@ -88,6 +91,7 @@ def choose_models(approach: Approach, setup: Setup, work: Work) -> Choice:
     is_heavy = has_lumped and setup.has_full and not is_massless and setup.model == Model.AUTO
     is_heavy = is_heavy and is_bounded(lumped, full, 1.0 - setup.model_margin)
     takes_lumped, takes_full, takes_iso, why = deciding_models(setup, work, reason, is_massless, is_heavy)
+    takes_full = takes_full or (is_heavy and is_link)
     if takes_lumped and not is_massless:
         worst[Model.LUMPED] = worst_mass(lumped, rank) if approach.is_moving else masses[Model.LUMPED]
     if takes_full:

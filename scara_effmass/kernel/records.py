@@ -11,6 +11,7 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
+from scara_effmass.reference.hull import STEPS
 from scara_effmass.values import ContactAssessment, FloatArray, Mobility6, Vector3
 
 Vector = Annotated[FloatArray, (3,)]
@@ -22,6 +23,11 @@ MIN_NORMAL_COMPONENT = 0.1
 """Smallest share of the speed that counts along a fixed normal: its direction is known to about 6 degrees."""
 MAX_JOINTS = 16
 """Largest number of joints; fixed, so that the functions are compiled once for all robots."""
+MAX_VERTICES = 16
+"""Largest number of vertices of the hull of a link."""
+MAX_SUPPORTS = STEPS + 1
+HULL_NONE, HULL_MASS, HULL_KNOWN = 0, 1, 2
+"""What a mobility has of a hull: nothing, a mass that is the same everywhere, or the mobility of the link."""
 MAX_MOBILITIES = 5
 """Largest number of mobilities: lumped, full, ISO, and the first two with joints that are held."""
 PerJoint = Annotated[FloatArray, (MAX_JOINTS,)]
@@ -33,11 +39,17 @@ _TYPES: dict[object, Any] = {float: "f8", int: "i8", bool: "?", FloatArray: "f8"
 
 @dataclass
 class Point:
-    """Contact point at `place` [m] in the frame of `joint`, which can move in `rank` dimensions."""
+    """Contact point at `place` [m] in the frame of `joint`, which can move in `rank` dimensions, or a whole link.
+
+    That is the convex hull of `vertices`, in the same frame. `rotation` is that of the frame that names it.
+    """
 
     joint: int
     rank: int
     place: Vector
+    rotation: Annotated[FloatArray, (3, 3)]
+    vertex_count: int
+    vertices: Annotated[FloatArray, (MAX_VERTICES, 3)]
 
 
 @dataclass
@@ -64,7 +76,8 @@ class Setup:
     Per joint: index of its `parent` (-1 the base), its pose there, its `axis` in its own frame, its effort limit. Per
     model, lumped and full, and joint: inertia of its link about `lever`, in its frame; the rotors are in `armature` and
     `coupling`. Fixed contact normal and test direction are in the frame of a joint. `model` is a
-    `kernel.codes.Model`, `normal` a `kernel.codes.Normal`.
+    `kernel.codes.Model`, `normal` a `kernel.codes.Normal`. `hull_mobility` [1/kg] is that of the body part for
+    which the place of the contact on a link is chosen.
     """
 
     joints: int
@@ -119,6 +132,7 @@ class Setup:
     min_alpha: float
     min_stiffness: float
     max_drive_time: float
+    hull_mobility: float
     gravity: Vector
 
 
@@ -131,6 +145,9 @@ class Mobility:
     the `powers` K M^-1 J^T, and the accelerations with `free` and with `held` joint velocities; `either_way`: their
     opposites, too. `shown`, `opposed` (`held`), `error` and `error_root` are its `Acceleration`, and `heaviest` the
     largest effective mass; if it `is_scalar`, `speed_rate` counts in place of the vectors.
+
+    `hull` to `forces` (scratch from `support` on) are of the hull of a link: the contact counts at `vertex`, the
+    `square` of whose speed is that of the fastest over `speed_ratio`.
     """
 
     along: float
@@ -154,6 +171,22 @@ class Mobility:
     heaviest: float
     is_scalar: bool
     speed_rate: float
+    hull: int
+    vertex_count: int
+    vertex: int
+    square: float
+    speed_ratio: float
+    energy_of_arm: float
+    twist: Annotated[FloatArray, (1, 6)]
+    twist_mobility: Annotated[FloatArray, (6, 6)]
+    vertices: Annotated[FloatArray, (MAX_VERTICES, 3)]
+    support: Annotated[IntArray, (MAX_SUPPORTS,)]
+    weights: Annotated[FloatArray, (MAX_SUPPORTS,)]
+    starts: Annotated[FloatArray, (MAX_SUPPORTS,)]
+    roots: Annotated[FloatArray, (MAX_SUPPORTS,)]
+    blocks: Annotated[FloatArray, (3 * MAX_SUPPORTS, 3 * MAX_SUPPORTS)]
+    system: Annotated[FloatArray, (3 * MAX_SUPPORTS, 3 * MAX_SUPPORTS)]
+    forces: Annotated[FloatArray, (3 * MAX_SUPPORTS,)]
 
 
 @dataclass
@@ -190,7 +223,8 @@ class Principal:
 class Work:
     """Intermediate results of one joint state, of both models where the first dimension is 2.
 
-    `jacobian`, its rate, and what M makes of it have one row per joint, up to that of the contact point.
+    `jacobian`, its rate, and what M makes of it have one row per joint, up to that of the contact point. `twists`,
+    `twist_mobility` and `energies` (both models, free and held) are of the link that is assessed as a whole.
     """
 
     qd: PerJoint
@@ -213,6 +247,10 @@ class Work:
     jacobian: Columns3
     jacobian_rate: Columns3
     uncoupled: Annotated[FloatArray, (2, MAX_JOINTS, 3)]
+    twists: Annotated[FloatArray, (MAX_JOINTS, 6)]
+    twist_mobility: Annotated[FloatArray, (4, 6, 6)]
+    energies: Annotated[FloatArray, (4,)]
+    vertices: Annotated[FloatArray, (MAX_VERTICES, 3)]
     responses: Columns3
     masses: Vector
     worst: Vector

@@ -9,11 +9,12 @@ from typing import NamedTuple
 
 from scara_effmass.iso15066.drives import MAX_MOBILITY
 from scara_effmass.kernel.acceleration import acceleration_time, gain, max_rate
+from scara_effmass.kernel.hull import person_ratio, worst_reduced_mass
 from scara_effmass.kernel.jit import inlined
-from scara_effmass.kernel.mobility import worst_reduced_mass
+from scara_effmass.kernel.mobility import point_reduced_mass
 from scara_effmass.kernel.person import Person, max_speed, meeting_of, person_mass, present_root
 from scara_effmass.kernel.pose_change import contact_time, growth, max_growth
-from scara_effmass.kernel.records import Case, Mobility, Principal, Setup, Work
+from scara_effmass.kernel.records import HULL_NONE, Case, Mobility, Principal, Setup, Work
 
 
 class Bound(NamedTuple):
@@ -50,18 +51,27 @@ def bound_of(
     case: Case,
     m: Mobility,
     mass_factor: float,
-    mu: float,
+    at_point: float,
     line: tuple[float, float],
     rate: float,
     accelerates: bool,  # noqa: FBT001 - compiled
+    speed: float,
 ) -> Bound:
-    """Return the bound of a reduced mass `mu`, of v^T (alpha 1 + beta A)^-1 v."""
+    """Return the bound of v^T (alpha 1 + beta A)^-1 v, whose reduced mass is known `at_point`.
+
+    Of a link, it bounds nothing if it allows `speed` [m/s] anyway.
+    """
     alpha, beta = line
-    growing = gained = 0.0
+    growing, gained, mu = 0.0, 0.0, at_point
+    if m.hull != HULL_NONE:
+        enough = 1.0 / (rate * speed * speed) if speed > 0.0 else 0.0
+        mu = mass_factor * worst_reduced_mass(m, mass_factor * alpha, beta, enough / mass_factor)
+        if mu <= enough:
+            return NO_BOUND
     if mu < math.inf:
         time = case.drive_time if case.drive_time > 0.0 else contact_time(mu, case.stiffness)
         if accelerates:
-            gained = gain(m, mass_factor, mu, alpha, beta, acceleration_time(case, time))
+            gained = gain(m, mass_factor, at_point, alpha, beta, acceleration_time(case, time))
         if m.change_rank > 0:
             growing = 0.5 * time * growth(m, mass_factor * alpha, beta) / m.speed
     inverse_square = mu * rate
@@ -76,31 +86,34 @@ def bound_of(
 
 
 @inlined
-def immovable_bound(case: Case, m: Mobility, mass_factor: float, rate: float) -> Bound:
+def immovable_bound(case: Case, m: Mobility, mass_factor: float, rate: float, speed: float) -> Bound:
     """Return the bound if the drives do not give way."""
-    mu = mass_factor * worst_reduced_mass(m, mass_factor * case.obstacle_mobility, 0.0)
-    return bound_of(case, m, mass_factor, mu, (case.obstacle_mobility, 0.0), rate, True)  # noqa: FBT003 - compiled
+    mu = mass_factor * point_reduced_mass(m, mass_factor * case.obstacle_mobility, 0.0)
+    return bound_of(case, m, mass_factor, mu, (case.obstacle_mobility, 0.0), rate, True, speed)  # noqa: FBT003 - compiled
 
 
 @inlined
 def free_bound(case: Case, m: Mobility, mass_factor: float, rate: float) -> Bound:
     """Return the bound of free joints; the push of the drives contains what accelerates them."""
-    mu = mass_factor * worst_reduced_mass(m, mass_factor * case.obstacle_mobility, 1.0)
-    return bound_of(case, m, mass_factor, mu, (case.obstacle_mobility, 1.0), rate, False)  # noqa: FBT003 - compiled
+    mu = mass_factor * point_reduced_mass(m, mass_factor * case.obstacle_mobility, 1.0)
+    return bound_of(case, m, mass_factor, mu, (case.obstacle_mobility, 1.0), rate, False, 0.0)  # noqa: FBT003 - compiled
 
 
 @inlined
-def case_bound(case: Case, m: Mobility, mass_factor: float, rate: float) -> Bound:
-    """Return the bound of the drives of the settings, of simulated contacts within the range of their simulation."""
+def case_bound(case: Case, m: Mobility, mass_factor: float, rate: float, speed: float) -> Bound:
+    """Return the bound of the drives of the settings, of simulated contacts within the range of their simulation.
+
+    Of a link, it bounds nothing if it allows `speed` [m/s] anyway.
+    """
     if case.line_count > 1 and not m.matrix_trace <= MAX_MOBILITY * mass_factor:
-        return immovable_bound(case, m, mass_factor, rate)
+        return immovable_bound(case, m, mass_factor, rate, speed)
     mu, alpha, beta = math.inf, 0.0, 0.0
     for i in range(case.line_count):
         line_alpha, line_beta = case.lines[i, 0], case.lines[i, 1]
-        line_mu = mass_factor * worst_reduced_mass(m, mass_factor * line_alpha, line_beta)
+        line_mu = mass_factor * point_reduced_mass(m, mass_factor * line_alpha, line_beta)
         if line_mu < mu:
             mu, alpha, beta = line_mu, line_alpha, line_beta
-    return bound_of(case, m, mass_factor, mu, (alpha, beta), rate, True)  # noqa: FBT003 - compiled
+    return bound_of(case, m, mass_factor, mu, (alpha, beta), rate, True, speed)  # noqa: FBT003 - compiled
 
 
 @inlined
@@ -112,14 +125,22 @@ def push_force(case: Case, drives: Drives, setup: Setup) -> float:
 
 
 @inlined
-def push_bound(case: Case, mobilities: Sequence[Mobility], drives: Drives, setup: Setup) -> Bound:
-    """Return the bound of free joints and the push of the drives; an infinite push bounds nothing."""
+def push_bound(case: Case, mobilities: Sequence[Mobility], drives: Drives, setup: Setup, speed: float) -> Bound:
+    """Return the bound of free joints and the push of the drives; an infinite push bounds nothing.
+
+    Of a link, it bounds nothing where one of its points shows that it does not allow more than `speed` [m/s].
+    """
     force = push_force(case, drives, setup)
     rest = case.force * (case.force - 2.0 * force)
     if rest <= 0.0:
         return Bound(0.0 if force < math.inf else -math.inf, 0.0, 0.0, force, 0.0, 0.0)
-    least = NO_BOUND
+    least, factor = NO_BOUND, setup.mass_factor
     for k in range(len(mobilities)):
+        m = mobilities[k]
+        if m.hull != HULL_NONE:
+            mu = factor * point_reduced_mass(m, factor * case.obstacle_mobility, 1.0)
+            if mu * case.stiffness * speed * speed >= rest:
+                return Bound(-math.inf, 0.0, 0.0, force, 0.0, 0.0)
         bound = free_bound(case, mobilities[k], setup.mass_factor, case.stiffness / rest)
         if k == 0 or bound.speed < least.speed:
             least = bound
@@ -133,7 +154,8 @@ def fill_greatest(mobilities: Sequence[Mobility], setup: Setup, work: Work) -> N
     alpha = factor * setup.min_alpha
     for k in range(len(mobilities)):
         m = mobilities[k]
-        work.max_masses[k] = factor * worst_reduced_mass(m, alpha, 1.0) if setup.is_free else math.inf
+        is_point = m.hull == HULL_NONE
+        work.max_masses[k] = factor * point_reduced_mass(m, alpha, 1.0) if setup.is_free and is_point else math.inf
         work.growths[k] = 0.0
         time = setup.max_drive_time
         time = time if time > 0.0 else contact_time(work.max_masses[k], setup.min_stiffness)
@@ -143,13 +165,29 @@ def fill_greatest(mobilities: Sequence[Mobility], setup: Setup, work: Work) -> N
 
 
 @inlined
+def case_at_point(cases: Sequence[Case], mobilities: Sequence[Mobility], mass_factor: float) -> int:
+    """Return the case with the largest force over its limit at the point, by the first line of the drives."""
+    first, largest = 0, -1.0
+    for i in range(len(cases)):
+        for k in range(len(mobilities)):
+            alpha, beta = mass_factor * cases[i].lines[0, 0], cases[i].lines[0, 1]
+            square = cases[i].rate * point_reduced_mass(mobilities[k], alpha, beta)
+            if square > largest:
+                first, largest = i, square
+    return first
+
+
+@inlined
 def governing_case(
     cases: Sequence[Case], mobilities: Sequence[Mobility], drives: Drives, setup: Setup, work: Work
 ) -> tuple[int, Bound]:
     """Return the case that allows the least speed, and its bound."""
     factor, governing, slowest = setup.mass_factor, 0, NO_BOUND
     fill_greatest(mobilities, setup, work)
-    for i in range(len(cases)):
+    # On a link, most cases are skipped if the case that governs at its vertex comes first.
+    start = 0 if mobilities[0].hull == HULL_NONE else case_at_point(cases, mobilities, factor)
+    for n in range(len(cases)):
+        i = (start + n) % len(cases)
         case, bound = cases[i], NO_BOUND
         rate = case.rate
         if drives.max_force < case.force:
@@ -157,58 +195,62 @@ def governing_case(
             rate *= excess * excess
         for k in range(len(mobilities)):
             speed = slowest.speed * (1.0 + work.growths[k] * max(0.0, slowest.speed)) + work.gains[k]
-            no_slower = speed <= 0.0 or min(work.max_masses[k], case.body_mass) * rate * speed * speed <= 1.0
+            heaviest = min(work.max_masses[k], case.body_mass * mobilities[k].speed_ratio)
+            no_slower = speed <= 0.0 or heaviest * rate * speed * speed <= 1.0
             if not no_slower or slowest.speed < 0.0:  # `speed` may be NaN, and bounds no negative one
-                other = case_bound(case, mobilities[k], factor, rate)
+                other = case_bound(case, mobilities[k], factor, rate, speed)
                 if other.speed < bound.speed:
                     bound = other
-        if drives.has_push:
-            other = push_bound(case, mobilities, drives, setup)
+        if drives.has_push and bound.speed <= slowest.speed:
+            other = push_bound(case, mobilities, drives, setup, bound.speed)
             if bound.speed < other.speed:
                 bound = other
-        if bound.speed < slowest.speed:
+        is_first = bound.speed == slowest.speed and i < governing
+        if bound.speed < slowest.speed or is_first:
             governing, slowest = i, bound
     return governing, slowest if slowest.speed < math.inf else NO_BOUND
 
 
 @inlined
 def person_line_bound(
-    case: Case, p: Principal, setup: Setup, alpha: float, beta: float, rate: float, person: Person
+    case: Case, p: Principal, m: Mobility, setup: Setup, line: tuple[float, float], rate: float, person: Person
 ) -> Bound:
     """Return the bound of one line of the drives with a moving person, whose speed is not part of it."""
+    alpha, beta = line
+    ratio = person_ratio(m, setup.mass_factor * alpha, beta, person.speed)
     meeting = meeting_of(case, p, setup.mass_factor, alpha, beta, person, math.inf)
-    speed = max_speed(meeting, 1.0 / math.sqrt(rate))
+    speed = max_speed(meeting, 1.0 / (ratio * math.sqrt(rate)))
     if meeting.heaviest == math.inf:
         meeting = meeting_of(case, p, setup.mass_factor, alpha, beta, person, setup.mass_cap)
-    return Bound(speed, person_mass(meeting), 0.0, 0.0, present_root(meeting, person.robot_speed), 0.0)
+    return Bound(speed, person_mass(meeting), 0.0, 0.0, ratio * present_root(meeting, person.robot_speed), 0.0)
 
 
 @inlined
-def person_case_bound(
-    case: Case, p: Principal, matrix_trace: float, setup: Setup, rate: float, person: Person
-) -> Bound:
+def person_case_bound(case: Case, p: Principal, m: Mobility, setup: Setup, rate: float, person: Person) -> Bound:
     """Return the bound of the drives of the settings with a moving person, as `case_bound`."""
-    if case.line_count > 1 and not matrix_trace <= MAX_MOBILITY * setup.mass_factor:
-        return person_line_bound(case, p, setup, case.obstacle_mobility, 0.0, rate, person)
-    fastest = person_line_bound(case, p, setup, case.lines[0, 0], case.lines[0, 1], rate, person)
+    if case.line_count > 1 and not m.matrix_trace <= MAX_MOBILITY * setup.mass_factor:
+        return person_line_bound(case, p, m, setup, (case.obstacle_mobility, 0.0), rate, person)
+    fastest = person_line_bound(case, p, m, setup, (case.lines[0, 0], case.lines[0, 1]), rate, person)
     for i in range(1, case.line_count):
-        bound = person_line_bound(case, p, setup, case.lines[i, 0], case.lines[i, 1], rate, person)
+        bound = person_line_bound(case, p, m, setup, (case.lines[i, 0], case.lines[i, 1]), rate, person)
         if bound.speed > fastest.speed:
             fastest = bound
     return fastest
 
 
 @inlined
-def person_push_bound(case: Case, count: int, drives: Drives, setup: Setup, work: Work, person: Person) -> Bound:
+def person_push_bound(
+    case: Case, mobilities: Sequence[Mobility], drives: Drives, setup: Setup, work: Work, person: Person
+) -> Bound:
     """Return the bound of free joints and the push of the drives with a moving person, as `push_bound`."""
     force = push_force(case, drives, setup)
     rest = case.force * (case.force - 2.0 * force)
     if not rest > 0.0:
         return Bound(-person.speed if force < math.inf else -math.inf, 0.0, 0.0, force, 0.0, 0.0)
     least, person = NO_BOUND, Person(person.has_direction, person.speed, person.robot_speed, accelerates=False)
-    for k in range(count):
-        rate, alpha = case.stiffness / rest, case.obstacle_mobility
-        bound = person_line_bound(case, work.principals[k], setup, alpha, 1.0, rate, person)
+    for k in range(len(mobilities)):
+        rate, line = case.stiffness / rest, (case.obstacle_mobility, 1.0)
+        bound = person_line_bound(case, work.principals[k], mobilities[k], setup, line, rate, person)
         if bound.speed < least.speed:
             least = bound
     return Bound(least.speed, least.reduced_mass, 0.0, force, least.root, 0.0)
@@ -227,11 +269,11 @@ def governing_person_case(
             excess = case.force / drives.max_force if drives.max_force > 0.0 else math.inf
             rate *= excess * excess
         for k in range(len(mobilities)):
-            other = person_case_bound(case, work.principals[k], mobilities[k].matrix_trace, setup, rate, person)
+            other = person_case_bound(case, work.principals[k], mobilities[k], setup, rate, person)
             if other.speed < bound.speed:
                 bound = other
         if drives.has_push:
-            other = person_push_bound(case, len(mobilities), drives, setup, work, person)
+            other = person_push_bound(case, mobilities, drives, setup, work, person)
             if bound.speed < other.speed:
                 bound = other
         if bound.speed < slowest.speed:

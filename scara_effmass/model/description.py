@@ -7,8 +7,8 @@ B = T^T J T, with T the velocities of the motors per joint velocity.
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
@@ -89,6 +89,7 @@ class RobotDescription:
     rotors. `contact_points` are names with the joint that moves each point and its pose in the frame of that joint.
     `tip` is the end of the last link in the last joint's frame. `origin` names the file in errors, `stated` is what the
     file states of the assumptions, and `held` are its joints that the model does not move.
+    `hulls` are the vertices (V, 3) [m] of the contact points that are links as a whole, in the frame of their joint.
     `tool_tip` is the contact point at the end of the longest chain, whose last joint may be one of a tool, as a jaw.
     """
 
@@ -104,6 +105,7 @@ class RobotDescription:
     stated: frozenset[Assumption]
     held: tuple[HeldJoint, ...] = ()
     tool_tip: str = ""
+    hulls: Mapping[str, FloatArray] = field(default_factory=dict)
 
 
 class ContactPoint(NamedTuple):

@@ -110,6 +110,7 @@ def build_robot(stated: RobotDescription, settings: MonitorSettings) -> Robot:
         notes=(*stated.notes, *load_notes, *check.notes, *rotors.notes, *filter(None, [rotors.warning])),
         stated=stated.stated,
         held=stated.held,
+        hulls=stated.hulls,
     )
     if stated.tool_tip in contact_frames:
         robot = hold_light_end(robot, stated.tool_tip)

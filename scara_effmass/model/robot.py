@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import pinocchio as pin
@@ -33,6 +33,7 @@ class Robot:
     load of other settings. A `*_reason` states why masses, centres of mass (CoM) or inertias are implausible; it is
     empty if they are plausible. `units_reason` states what is certainly not in SI units: the monitor refuses the robot.
     `stated` is what the robot file states of the assumptions, `held` are its joints that the model does not move.
+    `hulls` are the vertices (V, 3) [m] of contact points that are links as a whole, in the frame of their joint.
     `reach` [m] is the largest distance of `tip` and contact points from the first joint, over the sampled poses.
     """
 
@@ -53,6 +54,7 @@ class Robot:
     reach: float = 0.0
     units_reason: str = ""
     held: tuple[HeldJoint, ...] = ()
+    hulls: Mapping[str, FloatArray] = field(default_factory=dict)
 
     @property
     def name(self) -> str:

@@ -22,6 +22,7 @@ from scara_effmass.input_files import read_text
 from scara_effmass.model.description import (
     CONTINUOUS_LIMIT,
     MAX_ANGLE_RAD,
+    ContactPoint,
     HeldJoint,
     RobotDescription,
     RotorInertia,
@@ -31,7 +32,8 @@ from scara_effmass.model.description import (
     principal_moments,
     rotor_inertia,
 )
-from scara_effmass.settings import MonitorSettings
+from scara_effmass.settings import WHOLE_ARM, MonitorSettings
+from scara_effmass.values import FloatArray
 
 MOVING = ("revolute", "continuous", "prismatic")
 CHAIN_NOTES = (
@@ -79,17 +81,11 @@ def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> RobotDescri
     """
     tree = read_urdf(text, origin, settings.locked_joints, settings.position_limits)
     notes, tip = list[str](), tree.tip(tree.base)
-    entries = tuple(dict.fromkeys(settings.contact_points))
+    entries = tuple(dict.fromkeys(entry for entry in settings.contact_points if entry != WHOLE_ARM))
     if not entries:
         entries = (tip,)
         notes += tree.notes_on_tip(tip)
-    points = [contact_point(entry) for entry in entries]
-    # Without a link of its own, a contact point is the link of its name.
-    links = [point.link or point.name for point in points]
-    for entry, link in zip(entries, links, strict=True):
-        if link not in tree.links:
-            names = ", ".join(sorted(tree.links))
-            raise RobotError(f"{origin}: contact_points = {entry!r}: must be one of {names}, or NAME=LINK: X Y Z")
+    points, links = tree.points(entries)
     tips = [tree.tip_beyond(link) for link in links]
     needed = {joint for tip in tips for joint in tree.chain(tip)}
     for name in sorted(needed):
@@ -111,6 +107,10 @@ def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> RobotDescri
             raise RobotError(f"{origin}: contact_points = {entry!r}: must not be fixed to the base{locked}")
         pose = frames[link].placement * pin.SE3(np.eye(3), np.array(point.at))
         placed.append((point.name, frames[link].parentJoint, pose))
+    hulls: dict[str, FloatArray] = {}
+    if WHOLE_ARM in settings.contact_points:
+        hulls, hull_notes = _hulls(tree, frames, placed, settings)
+        notes += hull_notes
     moving = [link for link in tree.stated if frames[link.name].parentJoint > 0]
     mass = sum(link.mass for link in moving)
     if not math.isclose(sum(body.mass for body in list(model.inertias)[1:]), mass, rel_tol=1e-9):
@@ -128,7 +128,44 @@ def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> RobotDescri
         stated=frozenset(),
         tool_tip=tip,
         held=tuple(HeldJoint(name, tree.is_tool_joint(name, needed)) for name in sorted(fixed)),
+        hulls=hulls,
     )
+
+
+def _hulls(
+    tree: UrdfTree,
+    frames: Mapping[str, pin.Frame],
+    placed: list[tuple[str, int, pin.SE3]],
+    settings: MonitorSettings,
+) -> tuple[dict[str, FloatArray], list[str]]:
+    """Return the hulls of the links that `whole_arm` watches, and notes; append those links to `placed`.
+
+    The hull of a link that is a contact point, too, holds that point. Raises RobotError.
+    """
+    # scipy.spatial takes long to import.
+    from scara_effmass.model.hulls import outer_vertices, package_folders, urdf_hulls  # noqa: PLC0415
+
+    path = Path(tree.origin)
+    folders = package_folders(path if path.is_file() else None, [Path(folder) for folder in settings.package_dirs])
+    found = urdf_hulls(tree, frames, folders)
+    points = {name: (joint, pose) for name, joint, pose in placed}
+    hulls, left_out = dict[str, FloatArray](), list[str]()
+    for hull in found:
+        if not any(fnmatchcase(hull.link, glob) for glob in settings.contact_links):
+            left_out.append(hull.link)
+        elif hull.link in points:
+            hulls[hull.link] = outer_vertices(np.vstack([hull.vertices, points[hull.link][1].translation]))
+        else:
+            placed.append((hull.link, hull.joint, frames[hull.link].placement))
+            hulls[hull.link] = hull.vertices
+    if not found:
+        return hulls, ["no link has geometry: only the contact points are watched"]
+    notes = [f"links as a whole: {', '.join(hulls)}"]
+    if left_out:
+        notes.append(f"links that contact_links leaves out: {', '.join(left_out)}")
+    if visual := [hull.link for hull in found if hull.source == "visual" and hull.link in hulls]:
+        notes.append(f"by their visual geometry, without another: {', '.join(visual)}")
+    return hulls, notes
 
 
 def _rotors(tree: UrdfTree, joints: Sequence[str], entries: Sequence[str]) -> RotorInertia:
@@ -273,6 +310,17 @@ class UrdfTree:
         self.gripper = self._gripper_joints()
         """Joints of a gripper by its structure, see `_gripper_joints`, which are held as the locked ones are."""
         self.locked = self.named | self.gripper
+
+    def points(self, entries: Sequence[str]) -> tuple[list[ContactPoint], list[str]]:
+        """Return contact points and their links. Raises RobotError for a link that is not there."""
+        points = [contact_point(entry) for entry in entries]
+        # Without a link of its own, a contact point is the link of its name.
+        links = [point.link or point.name for point in points]
+        for entry, link in zip(entries, links, strict=True):
+            if link not in self.links:
+                rule = f"must be one of {', '.join(sorted(self.links))}, or NAME=LINK: X Y Z"
+                raise RobotError(f"{self.origin}: contact_points = {entry!r}: {rule}")
+        return points, links
 
     def kind(self, joint: str) -> str:
         """Return the type of `joint`."""

@@ -20,6 +20,7 @@ from scara_effmass.iso15066.contact import MAX_TURN, peak_force, reduced_mass, t
 from scara_effmass.iso15066.limits import Limit
 from scara_effmass.model.lumping import is_scara, lumped_suffices
 from scara_effmass.reference.dynamics import RobotDynamics
+from scara_effmass.reference.hull import hull_mobility
 from scara_effmass.reference.mobility import Acceleration, Mobility, is_bounded
 from scara_effmass.reference.person import MIN_PERSON_SPEED, MovingPerson
 from scara_effmass.reference.pose_state import X_AXIS, ContactState
@@ -44,6 +45,8 @@ class ContactResult:
     `body_region` is 1 + the index of the governing limit, 0 for none. `reason_values` are the numbers of `reason`.
     """
 
+    position: Vector3
+    position_in_link: Vector3
     direction: Vector3
     speed: float
     lumped_mass: float
@@ -99,11 +102,13 @@ def assess(
     cases = contact_cases(limits, settings)
     none = np.zeros_like(qd)
     acceleration = acceleration or JointAcceleration(none, none)
+    place = hull_mobility(cases), settings.speed_threshold
+    contacts = [contact.at_worst_vertex(*place) for contact in dynamics.at(q, qd).contacts]
     return [
         ContactAssessor(
             contact, settings, tuple(limits), cases, contact.speed_tolerance(velocity_tolerance), acceleration
         ).result()
-        for contact in dynamics.at(q, qd).contacts
+        for contact in contacts
     ]
 
 
@@ -181,6 +186,8 @@ class ContactAssessor:
         contact, cap = self.contact, self.settings.mass_cap
         lumped = None if contact.massless_joints else contact.mobilities.get(ModelCode.LUMPED)
         result = ContactResult(
+            position=_vector(contact.position),
+            position_in_link=_vector(contact.position_in_link),
             direction=ZERO_VECTOR if self.direction is None else _vector(self.direction),
             speed=contact.speed,
             lumped_mass=min(self.masses[ModelCode.LUMPED], cap),  # a NaN stays
@@ -217,8 +224,10 @@ class ContactAssessor:
             return tuple(code for code in chosen if not math.isnan(self.masses[code])), ModelReason.SETTING
         if self._lumped_is_heavy_enough:
             # The change of pose can differ more than the mass: but for a SCARA, the full model bounds the speed, too.
+            # It is compared at one place, so for a link both count as well.
             both = (ModelCode.LUMPED, ModelCode.FULL)
-            return both[:1] if is_scara(self.dynamics.robot) else both, ModelReason.HEAVY_ENOUGH
+            is_enough = is_scara(self.dynamics.robot) and self.contact.vertex is None
+            return both[:1] if is_enough else both, ModelReason.HEAVY_ENOUGH
         if missing is None and self.contact.massless_joints:
             missing = NoLumpedMass.MASSLESS  # there is one along this direction, but not along every normal
         if not self.dynamics.full_reason:
@@ -260,6 +269,7 @@ class ContactAssessor:
             direction = X_AXIS if self.direction is None else self.direction
             if is_iso:
                 mobility = Mobility.of_any_direction(mass, direction)
+                mobility = replace(mobility, hull=None if self.direction is None else self.contact.hull(None))
             else:
                 mobility = self.contact.mobility(code, self.direction)
             mobility = replace(mobility, acceleration=self._acceleration(code))

@@ -10,7 +10,8 @@ from scara_effmass.codes import ModelCode
 from scara_effmass.errors import RobotError
 from scara_effmass.model.lumping import LumpedModel, lump
 from scara_effmass.model.robot import Robot
-from scara_effmass.reference.pose_state import MIN_LEVER_M, ContactPoint, PoseState
+from scara_effmass.reference.hull import skew
+from scara_effmass.reference.pose_state import MIN_LEVER_M, NO_VERTICES, ContactPoint, PoseState
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import FloatArray
 
@@ -67,22 +68,31 @@ class RobotDynamics:
 
 
 def _contact_points(robot: Robot) -> tuple[ContactPoint, ...]:
-    """Return the contact points with the number of dimensions in which each moves outside singular poses."""
+    """Return the contact points with the number of dimensions in which each moves outside singular poses.
+
+    A link moves in as many as the vertex of its hull that moves in most.
+    """
     model, data = robot.model, robot.model.createData()
-    jacobians: dict[str, list[FloatArray]] = {name: [] for name in robot.contact_frames}
+    places = {
+        name: robot.hulls.get(name, model.frames[frame].placement.translation[None])
+        for name, frame in robot.contact_frames.items()
+    }
+    jacobians: dict[str, list[FloatArray]] = {name: [] for name in places}
     for q in robot.sample_configurations():
+        pin.computeJointJacobians(model, data, q)
         for name, frame in robot.contact_frames.items():
-            jacobian = pin.computeFrameJacobian(model, data, q, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
-            jacobians[name].append(np.reshape(jacobian, (6, model.nv))[:3])
+            joint = model.frames[frame].parentJoint
+            jacobian = np.reshape(pin.getJointJacobian(model, data, joint, pin.ReferenceFrame.LOCAL), (6, model.nv))
+            jacobians[name].append(np.array([jacobian[:3] - skew(r) @ jacobian[3:] for r in places[name]]))
     points = []
     for name, frame in robot.contact_frames.items():
         values = np.linalg.svd(np.array(jacobians[name]), compute_uv=False)
-        rank = int(np.sum(values > max(RANK_TOLERANCE * values.max(), MIN_LEVER_M), axis=1).max())
+        rank = int(np.sum(values > max(RANK_TOLERANCE * values.max(), MIN_LEVER_M), axis=-1).max())
         if rank == 0:
             raise RobotError(
                 f"{robot.origin}: contact point {name}: must not lie on the axis of every joint that moves it"
             )
-        points.append(ContactPoint(name, frame, rank))
+        points.append(ContactPoint(name, frame, rank, robot.hulls.get(name, NO_VERTICES)))
     return tuple(points)
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from scara_effmass.reference.hull import Hull
 from scara_effmass.values import FloatArray
 
 CLAMPED_TOLERANCE = 1e-11
@@ -101,7 +102,8 @@ class Mobility:
 
     `values` are the eigenvalues a [1/kg] and `axes` U their directions, of the dimensions in which the point moves.
     `change` is that of the pose during the contact; None if it does not count. `across` [1/kg] is the mobility across
-    the axes, which counts for the velocity of a person: 0 where the point does not move.
+    the axes, which counts for the velocity of a person: 0 where the point does not move. With a `hull`, the point
+    stands for the whole link.
     """
 
     values: FloatArray
@@ -110,6 +112,7 @@ class Mobility:
     change: PoseChange | None = None
     across: float = 0.0
     acceleration: Acceleration = NO_ACCELERATION
+    hull: Hull | None = None
 
     @classmethod
     def of_matrix(
@@ -150,7 +153,12 @@ class Mobility:
         error_root = self.acceleration.error_root * math.sqrt(factor)
         acceleration = replace(self.acceleration, error_root=error_root)
         return replace(
-            self, values=self.values / factor, change=change, across=self.across / factor, acceleration=acceleration
+            self,
+            values=self.values / factor,
+            change=change,
+            across=self.across / factor,
+            acceleration=acceleration,
+            hull=self.hull and self.hull.with_masses(factor),
         )
 
     def along(self, normal: FloatArray, min_speed: float, *, either_way: bool) -> Mobility:
@@ -190,6 +198,36 @@ class Mobility:
         return w + out_of_reach / alpha if np.linalg.norm(out_of_reach) > DIRECTION_ROUNDING else w
 
     def reduced_mass(self, alpha: float, beta: float = 1.0) -> float:
+        """Return mu [kg] of the worst contact normal, and of a link a bound of that of every point of its hull.
+
+        The energy anywhere on the link counts with the speed of the point that stands for it.
+        """
+        point = self.point_reduced_mass(alpha, beta)
+        if self.hull is None or point == math.inf:
+            return point
+        if self.hull.mobility is None or beta <= 0.0:
+            return point * self.hull.speed_ratio
+        energy = self.hull.energy(max(alpha / beta, CLAMPED_TOLERANCE * self.trace))
+        most = self.hull.speed_ratio / alpha if alpha > 0.0 else math.inf
+        return max(point, min(energy / (beta * self.hull.square), most))
+
+    def person_ratio(self, alpha: float, beta: float, person_speed: float) -> float:
+        """Return a bound of the force anywhere on a link over that of the point, for a person in any direction.
+
+        It holds at the present speed; at the point, the person counts as coming along its velocity. Against a clamped
+        body part, it is that of a person at rest.
+        """
+        if self.hull is None:
+            return 1.0
+        person_speed = person_speed if alpha > 0.0 else 0.0
+        speed = math.sqrt(self.hull.square)
+        if self.hull.mobility is None or beta <= 0.0:
+            return (speed * math.sqrt(self.hull.speed_ratio) + person_speed) / (speed + person_speed)
+        s = max(alpha / beta, CLAMPED_TOLERANCE * self.trace)
+        at_point = self.point_reduced_mass(s) * (speed + person_speed) ** 2
+        return math.sqrt(max(1.0, self.hull.energy(s, person_speed) / at_point))
+
+    def point_reduced_mass(self, alpha: float, beta: float = 1.0) -> float:
         """Return mu = n^T (alpha I + beta A)^-1 n [kg], that of the worst contact normal.
 
         That is the largest (n.m)^2 / (alpha + beta m^T A m) over all unit normals m (the generalised Rayleigh

@@ -228,16 +228,20 @@ def _growth(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PersonSpeedLimit(SpeedLimit):
-    """Speed of the contact point alone that a limit allows, and the contact from which it follows."""
+    """Speed of the contact point alone that a limit allows, and the contact from which it follows.
+
+    The force anywhere on a link is at most `ratio` times that at the point.
+    """
 
     case: ContactCase
     mobility: Mobility
     line: Line
     person: MovingPerson
+    ratio: float
 
     def force(self, speed: float, max_mass: float = math.inf) -> float:
         """Return the bound of the peak force [N] at the `speed` [m/s] of the contact point."""
-        root = PersonContact.of(self.case, self.mobility, self.line, self.person, max_mass).root(speed)
+        root = self.ratio * PersonContact.of(self.case, self.mobility, self.line, self.person, max_mass).root(speed)
         return self.push + math.sqrt(self.push**2 + self.stiffness * root**2)
 
 
@@ -246,7 +250,8 @@ def person_speed_limit(
 ) -> PersonSpeedLimit:
     """Return the speed of the contact point at which the peak reaches `force` [N], for one line of the drives."""
     contact = PersonContact.of(case, mobility, line, person)
-    speed = contact.max_speed(force / math.sqrt(case.stiffness))
+    ratio = mobility.person_ratio(*line, person.speed)
+    speed = contact.max_speed(force / (ratio * math.sqrt(case.stiffness)))
     return PersonSpeedLimit(
         speed,
         case.limit,
@@ -256,4 +261,5 @@ def person_speed_limit(
         mobility=mobility,
         line=line,
         person=person,
+        ratio=ratio,
     )

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -19,6 +20,7 @@ import numpy as np
 import pinocchio as pin
 
 from scara_effmass.codes import ModelCode, NoLumpedMass
+from scara_effmass.reference.hull import Hull, farthest, skew, velocities
 from scara_effmass.reference.mobility import Mobility, PoseChange, effective_mass, is_definite, worst_mass
 from scara_effmass.values import FloatArray, Vector3
 
@@ -29,16 +31,21 @@ MIN_LEVER_M = 1e-9
 """Lever [m] below which a joint does not move the contact point."""
 X_AXIS: FloatArray = np.eye(3)[0]
 """Direction of a contact at rest, whose mass is that of the worst direction anyway."""
+NO_VERTICES: FloatArray = np.empty((0, 3))
 SINGULAR_ROUNDING = 1e-6
 """Ratio of a singular value of J_v to its Frobenius norm, up to which it counts as 0."""
 
 
 class ContactPoint(NamedTuple):
-    """Name, Pinocchio's frame, and the dimensions in which a contact point can move outside singular poses."""
+    """Name, Pinocchio's frame, and the dimensions in which a contact point can move outside singular poses.
+
+    With `vertices` (V, 3) [m], in the frame of the joint that carries the frame, it is their hull, a whole link.
+    """
 
     name: str
     frame: int
     rank: int
+    vertices: FloatArray = NO_VERTICES
 
 
 class PoseState:
@@ -71,25 +78,68 @@ class PoseState:
 class ContactState:
     """One contact point at one joint state: `jacobian` J_v and `jacobian_rate` dJ_v/dt (3, n), velocity and speed.
 
-    `is_moved_by` (n,) holds of the joints between base and point.
+    A link counts at one `vertex` of its hull, by default the fastest. `is_moved_by` (n,) holds of the joints between
+    base and point.
     """
 
-    def __init__(self, state: PoseState, point: ContactPoint) -> None:
+    def __init__(self, state: PoseState, point: ContactPoint, vertex: int | None = None) -> None:
         """Compute kinematics; masses follow on demand."""
-        self.state, self.name, self.frame, self.rank = state, *point
-        model, axes = state.dynamics.robot.model, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        self.state, self.point, self.name, self.rank = state, point, point.name, point.rank
+        model, data, axes = state.dynamics.robot.model, state.data, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        frame = model.frames[point.frame]
+        joint, size = frame.parentJoint, (6, model.nv)
         # Pinocchio returns a vector for a single joint.
-        jacobian = np.reshape(pin.getFrameJacobian(model, state.data, self.frame, axes), (6, model.nv))
-        rate = pin.getFrameJacobianTimeVariation(model, state.data, self.frame, axes)
-        # Pinocchio returns a vector for a single joint.
-        self.jacobian, self.is_moved_by = jacobian[:3].copy(), np.any(jacobian, axis=0)
-        self.jacobian_rate = np.reshape(rate, (6, model.nv))[:3].copy()
+        self.link_jacobian = np.reshape(pin.getJointJacobian(model, data, joint, axes), size)
+        link_rate = np.reshape(pin.getJointJacobianTimeVariation(model, data, joint, axes), size)
+        self.twist: FloatArray = self.link_jacobian @ state.qd
+        pose = data.oMi[joint]
+        self.vertices: FloatArray = point.vertices @ pose.rotation.T
+        speeds = np.sum(velocities(self.vertices, self.twist) ** 2, axis=1)
+        self.vertex = farthest(speeds) if vertex is None and len(speeds) else vertex
+        lever = pose.rotation @ frame.placement.translation if self.vertex is None else self.vertices[self.vertex]
+        turn, spin = skew(lever), skew(np.cross(self.twist[3:], lever))
+        self.jacobian: FloatArray = self.link_jacobian[:3] - turn @ self.link_jacobian[3:]
+        self.jacobian_rate: FloatArray = link_rate[:3] - turn @ link_rate[3:] - spin @ self.link_jacobian[3:]
+        self.is_moved_by = np.any(self.link_jacobian, axis=0)
         self.velocity: FloatArray = self.jacobian @ state.qd
         """v = J_v qd [m/s] (Eq. 1)."""
         self.speed = float(np.linalg.norm(self.velocity))
         self.direction = self.velocity / self.speed if self.speed > 0.0 else None
         """Unit vector n of the velocity; None at rest."""
-        self.position = np.array(state.data.oMf[self.frame].translation)
+        self.position: FloatArray = pose.translation + lever
+        self.position_in_link = frame.placement.actInv(pose.rotation.T @ lever) if len(self.vertices) else np.zeros(3)
+
+    def at_worst_vertex(self, s: float, threshold: float) -> ContactState:
+        """Return the contact at the vertex with the largest v^T (s 1 + A)^-1 v; at rest at that of the largest mass.
+
+        Up to the speed `threshold` [m/s] a vertex is at rest. That only says where the contact counts.
+        """
+        if self.vertex is None:
+            return self
+        found = [ContactState(self.state, self.point, i) for i in range(len(self.vertices))]
+        code = next((code for code in (ModelCode.FULL, ModelCode.LUMPED) if code in self.state.mass_matrix), None)
+        if code is None:
+            return self
+        if self.speed < threshold:
+            return found[farthest(np.array([worst_mass(c.mobility_in(code), c.rank) for c in found]))]
+        eye = s * np.eye(3)
+        values = [float(c.velocity @ np.linalg.solve(eye + c.mobility_in(code), c.velocity)) for c in found]
+        worst = found[farthest(np.array(values))]
+        return worst if worst.speed >= threshold else self
+
+    def mobility_in(self, model: ModelCode) -> FloatArray:
+        """Return A = J_v M^-1 J_v^T [1/kg] (Eqs. 3-4) in a mass model, definite or not."""
+        return np.asarray(self.jacobian @ self.state.inverse_mass_matrix[model] @ self.jacobian.T)
+
+    def hull(self, mass_matrix: FloatArray | None) -> Hull | None:
+        """Return the hull of a link with these masses (n, n), None for one mass everywhere; None for a point."""
+        if self.vertex is None:
+            return None
+        if mass_matrix is None:
+            return Hull(self.vertices, self.twist, self.vertex)
+        mobility = self.link_jacobian @ np.linalg.solve(mass_matrix, self.link_jacobian.T)
+        energy = float(self.state.qd @ mass_matrix @ self.state.qd)
+        return Hull(self.vertices, self.twist, self.vertex, mobility, energy)
 
     @cached_property
     def smallest_singular_value(self) -> float:
@@ -114,8 +164,8 @@ class ContactState:
     @cached_property
     def mobilities(self) -> dict[ModelCode, FloatArray]:
         """A = J_v M^-1 J_v^T [1/kg] (Eqs. 3-4) of each model that has one at this pose."""
-        inverses, lumped = self.state.inverse_mass_matrix, self.state.dynamics.lumped
-        mobilities = {name: self.jacobian @ inverse @ self.jacobian.T for name, inverse in inverses.items()}
+        lumped = self.state.dynamics.lumped
+        mobilities = {name: self.mobility_in(name) for name in self.state.inverse_mass_matrix}
         # The lumped mass matrix of parallel axes is definite by its form, others can lose that at a pose.
         if lumped is not None and not lumped.is_regular and not is_definite(mobilities[ModelCode.LUMPED], self.rank):
             del mobilities[ModelCode.LUMPED]
@@ -158,7 +208,8 @@ class ContactState:
         response = self.jacobian @ self.state.inverse_mass_matrix[model]  # J_v M^-1
         turning = self.jacobian_rate - response @ self.state.coriolis[model]
         free, held = turning @ self.state.qd, self.jacobian_rate @ self.state.qd
-        return self._mobility(self.mobilities[model], turning @ response.T, (free, held), n)
+        found = self._mobility(self.mobilities[model], turning @ response.T, (free, held), n)
+        return replace(found, hull=None if n is None else self.hull(self.state.mass_matrix[model]))
 
     def held_mobility(self, model: ModelCode, n: FloatArray | None) -> Mobility:
         """Return the mobility J_v D^-1 J_v^T of joints that a controller each holds, D the diagonal of M.
@@ -168,7 +219,9 @@ class ContactState:
         response = self.jacobian / np.diagonal(self.state.mass_matrix[model])
         turning = self.jacobian_rate - response * np.diagonal(self.state.coriolis[model])
         held = self.jacobian_rate @ self.state.qd
-        return self._mobility(response @ self.jacobian.T, turning @ response.T, (held,), n)
+        found = self._mobility(response @ self.jacobian.T, turning @ response.T, (held,), n)
+        diagonal = np.diag(np.diagonal(self.state.mass_matrix[model]))
+        return replace(found, hull=None if n is None else self.hull(diagonal))
 
     def _mobility(
         self, matrix: FloatArray, rate: FloatArray, accelerations: tuple[FloatArray, ...], n: FloatArray | None

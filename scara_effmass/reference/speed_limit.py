@@ -73,7 +73,8 @@ def _of_mobility(
     if person is not None:
         force = max(0.0, min(case.force, max_force))
         return max((person_speed_limit(case, mobility, line, person, force) for line in lines), key=_speed)
-    mu, (alpha, beta) = min(((mobility.reduced_mass(*line), line) for line in lines), key=lambda bound: bound[0])
+    alpha, beta = min(lines, key=lambda line: mobility.point_reduced_mass(*line))
+    mu = mobility.reduced_mass(alpha, beta)
     growth = gain = 0.0
     if mu < math.inf:
         gain = mobility.gain(alpha, beta, case.acceleration_time(mu))

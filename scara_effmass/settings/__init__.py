@@ -19,6 +19,7 @@ from scara_effmass.settings.daq import (
 )
 from scara_effmass.settings.loading import checked, load_settings
 from scara_effmass.settings.monitor import (
+    WHOLE_ARM,
     ContactType,
     Drives,
     FreeParameters,
@@ -32,6 +33,7 @@ from scara_effmass.settings.monitor import (
 from scara_effmass.settings.validator import CriterionSettings, ValidatorSettings
 
 __all__ = [
+    "WHOLE_ARM",
     "BagSettings",
     "ContactType",
     "Coupling",

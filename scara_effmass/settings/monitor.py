@@ -102,6 +102,10 @@ class LumpingSettings(FrozenSettings):
     )
 
 
+WHOLE_ARM = "whole_arm"
+"""Contact point that stands for every link with geometry."""
+
+
 class MonitorSettings(FrozenSettings):
     """Settings of `monitor_node`, `assess` and `replay`, with safe defaults.
 
@@ -119,7 +123,14 @@ class MonitorSettings(FrozenSettings):
     contact_points: tuple[str, ...] = fixed(
         (),
         'points to watch: a link (URDF) or point (DH YAML) by name, or "name=link: x y z", a point in the frame '
-        "of a link [m]; empty: all points of a DH file, the tip of the longest chain of a URDF",
+        "of a link [m]; whole_arm: besides, every link with geometry; empty: all points of a DH file, the tip of the "
+        "longest chain of a URDF",
+    )
+    contact_links: tuple[str, ...] = fixed(
+        ("*",), "links that whole_arm watches, by name or glob pattern; name all but those that cannot touch a person"
+    )
+    package_dirs: tuple[str, ...] = fixed(
+        (), "folders of the packages with the meshes of a URDF, besides those of ROS and those above the file"
     )
     joint_map: tuple[str, ...] = fixed(
         (),
@@ -365,9 +376,11 @@ class MonitorSettings(FrozenSettings):
 
     @field_validator("contact_normal")
     @classmethod
-    def _check_contact_normal(cls, text: str) -> str:
+    def _check_contact_normal(cls, text: str, info: ValidationInfo) -> str:
         if text not in {"worst", "velocity"} and unit_vector(text) is None:
             raise ValueError('must be worst, velocity, or three numbers that are not all 0, such as "0 0 1"')
+        if WHOLE_ARM in info.data.get("contact_points", ()) and text != "worst":
+            raise ValueError(f"must be worst with contact_points = {WHOLE_ARM}: no bound holds for a known one")
         return text
 
     @field_validator("contact_friction")

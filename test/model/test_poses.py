@@ -130,7 +130,7 @@ def test_positions_jacobians_and_directions_are_those_of_pinocchio(name: str) ->
     q = robot.sample_configurations(50)
     poses = ManyPoses(robot, q)
     states = [dynamics.at(row) for row in q]
-    for index, (_, frame, _) in enumerate(dynamics.contacts):
+    for index, (_, frame, _, _) in enumerate(dynamics.contacts):
         contacts = [state.contacts[index] for state in states]
         np.testing.assert_allclose(poses.position(frame), [contact.position for contact in contacts], atol=1e-14)
         np.testing.assert_allclose(poses.jacobian(frame), [contact.jacobian for contact in contacts], atol=1e-14)

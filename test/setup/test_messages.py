@@ -23,6 +23,7 @@ SCHEMAS = Path(__file__).parents[2] / "msg_schemas/msg"
 
 CONTRACT = {
     "ContactState": (
+        "position position_in_link "
         "direction speed effective_mass lumped_mass full_mass iso_mass worst_direction_mass body_mass reduced_mass "
         "stiffness predicted_force contact_energy allowable_speed margin smallest_singular_value "
         "worst_normal_reduced_mass force_bound clamping_force lumped_mobility full_mobility test_direction "
@@ -71,7 +72,7 @@ KINDS = {
 """Types of the fields of `ContactAssessment` by those of its message."""
 COLUMNS = {float: pa.float64(), Vector3: pa.float64(), Mobility6: pa.float64(), bool: pa.bool_()}
 """Types of the columns by those of the fields; texts otherwise."""
-COLUMN_END = re.compile("(_[xyz]{1,2})?(_(n_m|m_s|1_kg|kg|n|j|s))?$")
+COLUMN_END = re.compile("(_[xyz]{1,2})?(_(n_m|m_s|1_kg|kg|n|j|s|m))?$")
 """Entry and unit in the name of a column."""
 
 

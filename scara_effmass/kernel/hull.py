@@ -1,0 +1,384 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Contact anywhere on a link: a bound of v^T (s 1 + A)^-1 v over a convex hull. `reference.hull` derives it.
+
+Twists, the mobility B of the link and the vertices are about the place of the joint that carries the link.
+"""
+
+from __future__ import annotations
+
+import math
+
+from scara_effmass.kernel.codes import Model
+from scara_effmass.kernel.contact_point import Approach
+from scara_effmass.kernel.jit import inlined
+from scara_effmass.kernel.mobility import (
+    adjugate,
+    determinant,
+    inverse,
+    point_reduced_mass,
+    shifted,
+    smallest_eigenvalue,
+)
+from scara_effmass.kernel.records import HULL_KNOWN, HULL_MASS, HULL_NONE, Mobility, Point, Setup, Work
+from scara_effmass.kernel.spatial import (
+    Force,
+    Motion,
+    add,
+    cross,
+    dot,
+    matrix_at,
+    motion_at,
+    power,
+    rotate,
+    scale,
+    set_spatial,
+    set_vector,
+    shift_motion,
+    sub,
+    symmetric_product,
+    vector_at,
+)
+from scara_effmass.reference import hull as reference
+from scara_effmass.reference.hull import FIRST_TRIAL, STEPS, TIE
+from scara_effmass.reference.mobility import CLAMPED_TOLERANCE
+from scara_effmass.values import ZERO_VECTOR, FloatArray, Mobility6, Vector3
+
+second_trial = inlined(reference.second_trial)
+
+
+@inlined
+def fill_vertices(point: Point, work: Work) -> None:
+    """Write the vertices of a link, in base axes, from the place of its joint."""
+    rotation = matrix_at(work.rotations, point.joint)
+    for i in range(point.vertex_count):
+        set_vector(work.vertices, i, rotate(rotation, vector_at(point.vertices, i)))
+
+
+@inlined
+def add_row(b: FloatArray, motion: Motion, factor: float) -> None:
+    """Add factor y y^T to a symmetric matrix (6, 6)."""
+    y = motion.angular + motion.linear
+    for i in range(6):
+        for j in range(6):
+            b[i, j] += factor * y[i] * y[j]
+
+
+@inlined
+def clear(b: FloatArray) -> None:
+    """Set a matrix (6, 6) to 0."""
+    for i in range(6):
+        for j in range(6):
+            b[i, j] = 0.0
+
+
+@inlined
+def fill_twist_mobility(k: int, joint: int, setup: Setup, work: Work) -> None:
+    """Write the mobility B = J M^-1 J^T of the link in model `k`, with the rows of U^-1 J^T."""
+    factors, b, rows = work.factors[k], work.twist_mobility[k], work.twists
+    clear(b)
+    for i in range(joint + 1):
+        set_spatial(rows, i, ZERO_VECTOR, ZERO_VECTOR)
+    fill_twists(joint, setup, work)
+    for i in range(joint, -1, -1):
+        for j in range(i + 1, joint + 1):
+            for a in range(6):
+                rows[i, a] -= factors[i, j] * rows[j, a]
+        add_row(b, motion_at(rows, i), factors[i, i])
+
+
+@inlined
+def fill_twists(joint: int, setup: Setup, work: Work) -> None:
+    """Write the motion of the link, about the place of its joint, per joint velocity."""
+    place, j = vector_at(work.places, joint), joint
+    while j >= 0:
+        motion = shift_motion(motion_at(work.axes, j), sub(place, vector_at(work.places, j)))
+        set_spatial(work.twists, j, motion.angular, motion.linear)
+        j = setup.parent[j]
+
+
+@inlined
+def fill_held_twist_mobility(k: int, joint: int, setup: Setup, work: Work) -> None:
+    """Write the mobility of the link if a controller of its own holds each joint."""
+    b = work.twist_mobility[2 + k]
+    clear(b)
+    for i in range(joint + 1):
+        set_spatial(work.twists, i, ZERO_VECTOR, ZERO_VECTOR)
+    fill_twists(joint, setup, work)
+    for i in range(joint + 1):
+        add_row(b, motion_at(work.twists, i), 1.0 / work.diagonals[k, i])
+
+
+@inlined
+def force_on(b: FloatArray, f: Force) -> Motion:
+    """Return B f."""
+    x = f.angular + f.linear
+    y0 = y1 = y2 = y3 = y4 = y5 = 0.0
+    for j in range(6):
+        y0 += b[0, j] * x[j]
+        y1 += b[1, j] * x[j]
+        y2 += b[2, j] * x[j]
+        y3 += b[3, j] * x[j]
+        y4 += b[4, j] * x[j]
+        y5 += b[5, j] * x[j]
+    return Motion((y0, y1, y2), (y3, y4, y5))
+
+
+@inlined
+def mobility_at(b: FloatArray, lever: Vector3) -> Mobility6:
+    """Return the mobility A = T B T^T [1/kg] of the point at `lever`."""
+    x = force_on(b, Force(cross(lever, (1.0, 0.0, 0.0)), (1.0, 0.0, 0.0)))
+    y = force_on(b, Force(cross(lever, (0.0, 1.0, 0.0)), (0.0, 1.0, 0.0)))
+    z = force_on(b, Force(cross(lever, (0.0, 0.0, 1.0)), (0.0, 0.0, 1.0)))
+    a, c, e = shift_motion(x, lever).linear, shift_motion(y, lever).linear, shift_motion(z, lever).linear
+    return a[0], a[1], a[2], c[1], c[2], e[2]
+
+
+@inlined
+def energy_at(m: Mobility6, s: float, v: Vector3) -> float:
+    """Return v^T (s 1 + A)^-1 v."""
+    m = shifted(m, s)
+    of_m = adjugate(m)
+    energy: float = dot(v, symmetric_product(of_m, v)) / determinant(m, of_m)
+    return energy
+
+
+@inlined
+def worst_vertex(k: int, s: float, is_moving: bool, point: Point, work: Work) -> int:  # noqa: FBT001 - compiled
+    """Return the vertex with the largest energy in model `k`, at rest that with the largest mass; -1: no model."""
+    twist, worst, largest = motion_at(work.velocities, point.joint), 0, -1.0
+    for i in range(point.vertex_count):
+        lever = vector_at(work.vertices, i)
+        v = shift_motion(twist, lever).linear
+        if k < 0:
+            value = dot(v, v)
+        else:
+            m = mobility_at(work.twist_mobility[k], lever)
+            least = smallest_eigenvalue(m, point.rank)
+            value = energy_at(m, s, v) if is_moving else (1.0 / least if least > 0.0 else math.inf)
+        if value > largest * (1.0 + TIE):
+            worst, largest = i, value
+    return worst
+
+
+@inlined
+def fastest_square(point: Point, work: Work) -> float:
+    """Return the square of the speed of the fastest vertex."""
+    twist, largest = motion_at(work.velocities, point.joint), 0.0
+    for i in range(point.vertex_count):
+        v = shift_motion(twist, vector_at(work.vertices, i)).linear
+        largest = max(largest, dot(v, v))
+    return largest
+
+
+@inlined
+def fill_energies(k: int, setup: Setup, work: Work) -> None:
+    """Write twice the kinetic energy of the arm in model `k`, with free and with held joints."""
+    free = held = 0.0
+    for i in range(setup.joints):
+        velocity = work.qd[i]
+        for j in range(i):
+            velocity += work.factors[k, j, i] * work.qd[j]
+        free += velocity * velocity / work.factors[k, i, i]
+        held += work.diagonals[k, i] * work.qd[i] * work.qd[i]
+    work.energies[k], work.energies[2 + k] = free, held
+
+
+@inlined
+def place_on_link(point: Point, setup: Setup, work: Work) -> int:
+    """Write the vertices of a link and its mobilities; return the vertex at which its contact counts, -1 for a point.
+
+    That only says where the contact counts: the bound of the energy is that of the whole hull.
+    """
+    if point.vertex_count == 0:
+        return -1
+    fill_vertices(point, work)
+    first = -1
+    for k in range(1, -1, -1):
+        if setup.has_full if k == Model.FULL else setup.has_lumped:
+            fill_twist_mobility(k, point.joint, setup, work)
+            fill_energies(k, setup, work)
+            first = k if first < 0 else first
+            if setup.joints_are_held:
+                fill_held_twist_mobility(k, point.joint, setup, work)
+    threshold = setup.speed_threshold * setup.speed_threshold
+    is_moving = fastest_square(point, work) >= threshold
+    vertex = worst_vertex(first, setup.hull_mobility, is_moving, point, work)
+    twist = motion_at(work.velocities, point.joint)
+    if is_moving and square_at(twist, vector_at(work.vertices, vertex)) < threshold:
+        return worst_vertex(-1, 0.0, is_moving, point, work)  # the fastest
+    return vertex
+
+
+@inlined
+def set_hull(out: Mobility, kind: int, k: int, approach: Approach, point: Point, work: Work) -> None:
+    """Write the hull of a link into the mobility of its worst vertex; `k` is the index of the link's mobility."""
+    out.hull, out.speed_ratio = HULL_NONE, 1.0
+    if approach.vertex < 0 or not approach.is_moving:
+        return
+    twist = motion_at(work.velocities, point.joint)
+    square = approach.speed * approach.speed
+    out.hull, out.vertex_count, out.vertex, out.square = kind, point.vertex_count, approach.vertex, square
+    out.speed_ratio = max(1.0, fastest_square(point, work) / square)
+    if kind == HULL_KNOWN:
+        out.energy_of_arm = work.energies[k]
+        set_spatial(out.twist, 0, twist.angular, twist.linear)
+        for i in range(6):
+            for j in range(6):
+                out.twist_mobility[i, j] = work.twist_mobility[k, i, j]
+        for i in range(point.vertex_count):
+            set_vector(out.vertices, i, vector_at(work.vertices, i))
+
+
+@inlined
+def square_at(x: Motion, lever: Vector3) -> float:
+    """Return the square of the speed of a point."""
+    v = shift_motion(x, lever).linear
+    return dot(v, v)
+
+
+@inlined
+def farthest(m: Mobility, x: Motion) -> int:
+    """Return the fastest vertex in the motion `x`."""
+    index, largest = 0, -1.0
+    for i in range(m.vertex_count):
+        square = square_at(x, vector_at(m.vertices, i))
+        if square > largest * (1.0 + TIE):
+            index, largest = i, square
+    return index
+
+
+@inlined
+def add_support(m: Mobility, vertex: int, count: int) -> None:
+    """Make `vertex` the support `count` of the weights, with its blocks T_i B T_j^T in the other ones."""
+    m.support[count] = vertex
+    lever = vector_at(m.vertices, vertex)
+    for axis in range(3):
+        e = (1.0 if axis == 0 else 0.0), (1.0 if axis == 1 else 0.0), (1.0 if axis == 2 else 0.0)
+        moved = force_on(m.twist_mobility, Force(cross(lever, e), e))
+        for j in range(count + 1):
+            v = shift_motion(moved, vector_at(m.vertices, m.support[j])).linear
+            for other in range(3):
+                m.blocks[3 * j + other, 3 * count + axis] = m.blocks[3 * count + axis, 3 * j + other] = v[other]
+
+
+@inlined
+def motion_after(m: Mobility, s: float, count: int) -> tuple[Motion, float]:
+    """Return the motion x of the link after contacts of masses w_i / s at the first `count` supports, and its energy.
+
+    (s 1 + T_w B T_w^T) u = T_w d by Cholesky's method, whose pivots are at least s; h = T_w^T u, x = d - B h.
+    """
+    twist, size, a, u, roots = motion_at(m.twist, 0), 3 * count, m.system, m.forces, m.roots
+    for i in range(count):
+        roots[i] = math.sqrt(m.weights[i])
+        v = shift_motion(twist, vector_at(m.vertices, m.support[i])).linear
+        for axis in range(3):
+            u[3 * i + axis] = roots[i] * v[axis]
+    for i in range(size):
+        for j in range(i + 1):
+            total = roots[i // 3] * roots[j // 3] * m.blocks[i, j]
+            for k in range(j):
+                total -= a[i, k] * a[j, k]
+            # The diagonal holds the inverse of the pivot.
+            a[i, j] = 1.0 / math.sqrt(max(total + s, s)) if i == j else total * a[j, j]
+        for k in range(i):
+            u[i] -= a[i, k] * u[k]
+        u[i] *= a[i, i]
+    angular, linear = ZERO_VECTOR, ZERO_VECTOR
+    for i in range(size - 1, -1, -1):
+        for k in range(i + 1, size):
+            u[i] -= a[k, i] * u[k]
+        u[i] *= a[i, i]
+    for i in range(count):
+        force = scale(roots[i], (u[3 * i], u[3 * i + 1], u[3 * i + 2]))
+        angular = add(angular, cross(vector_at(m.vertices, m.support[i]), force))
+        linear = add(linear, force)
+    h = Force(angular, linear)
+    given = force_on(m.twist_mobility, h)
+    return Motion(sub(twist.angular, given.angular), sub(twist.linear, given.linear)), power(given, h)
+
+
+@inlined
+def mean_square(m: Mobility, x: Motion, weights: FloatArray, count: int) -> float:
+    """Return the weighted mean of the squares of the speeds of the supports."""
+    total = 0.0
+    for i in range(count):
+        total += weights[i] * square_at(x, vector_at(m.vertices, m.support[i]))
+    return total
+
+
+@inlined
+def energy_bound(m: Mobility, s: float, x: Motion, energy: float, person_speed: float) -> float:
+    """Return the bound of the energy that the motion `x` proves for the whole hull."""
+    speed = math.sqrt(square_at(x, vector_at(m.vertices, farthest(m, x)))) + person_speed
+    return energy + speed * speed / s
+
+
+@inlined
+def hull_energy(m: Mobility, s: float, person_speed: float, enough: float) -> float:
+    """Return a bound of v^T (s 1 + A)^-1 v over the hull, for a person of up to `person_speed` [m/s] in any direction.
+
+    Frank-Wolfe steps on the weights of the vertices, until the bound is at most `enough`.
+    """
+    least = m.energy_of_arm + person_speed * person_speed / s
+    if least <= enough:
+        return least
+    add_support(m, m.vertex, 0)
+    m.weights[0] = 1.0
+    x, energy = motion_after(m, s, 1)
+    least = min(least, energy_bound(m, s, x, energy, person_speed))
+    for count in range(1, STEPS + 1):
+        vertex = farthest(m, x)
+        lever, mean = vector_at(m.vertices, vertex), mean_square(m, x, m.weights, count)
+        slope = square_at(x, lever) - mean
+        if least <= enough or not slope > TIE * mean:
+            break
+        add_support(m, vertex, count)
+        for i in range(count):
+            m.starts[i] = m.weights[i]
+        t = FIRST_TRIAL
+        for _ in range(2):
+            for i in range(count):
+                m.weights[i] = (1.0 - t) * m.starts[i]
+            m.weights[count] = t
+            x, energy = motion_after(m, s, count + 1)
+            least = min(least, energy_bound(m, s, x, energy, person_speed))
+            t = second_trial(slope, square_at(x, lever) - mean_square(m, x, m.starts, count))
+    return least
+
+
+@inlined
+def worst_reduced_mass(m: Mobility, alpha: float, beta: float, enough: float) -> float:
+    """Return v^T (alpha 1 + beta A)^-1 v / v^2, of a link a bound of that of every point over v^2 of `vertex`.
+
+    That of a link may be larger than need be, unless it is above `enough`.
+    """
+    mass = point_reduced_mass(m, alpha, beta)
+    if m.hull == HULL_NONE or mass == math.inf:
+        return mass
+    if m.hull == HULL_MASS or beta <= 0.0:
+        return mass * m.speed_ratio
+    most = inverse(alpha) * m.speed_ratio
+    if most <= enough:
+        return max(mass, most)
+    per_mass = beta * m.square
+    energy = hull_energy(m, max(alpha / beta, CLAMPED_TOLERANCE * m.matrix_trace), 0.0, enough * per_mass)
+    bound: float = max(mass, min(energy / per_mass, most))
+    return bound
+
+
+@inlined
+def person_ratio(m: Mobility, alpha: float, beta: float, person_speed: float) -> float:
+    """Return a bound of the force anywhere on a link over that at its vertex, for a person in any direction.
+
+    It holds at the present speed; the force at the vertex counts as if the person came along its velocity. Against a
+    clamped body part, it is that of a person at rest.
+    """
+    if m.hull == HULL_NONE:
+        return 1.0
+    person_speed = person_speed if alpha > 0.0 else 0.0
+    speed = math.sqrt(m.square)
+    if m.hull == HULL_MASS or beta <= 0.0:
+        return (speed * math.sqrt(m.speed_ratio) + person_speed) / (speed + person_speed)
+    s = max(alpha / beta, CLAMPED_TOLERANCE * m.matrix_trace)
+    at_vertex_energy = point_reduced_mass(m, s, 1.0) * (speed + person_speed) ** 2
+    return math.sqrt(max(1.0, hull_energy(m, s, person_speed, 0.0) / at_vertex_energy))

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Contact anywhere on a link: a bound of the contact energy over a convex hull, from its vertices alone.
+
+Twice the energy of the worst contact at a point p of a link is v^T (s 1 + A)^-1 v with v = J_v(p) qd and
+A = J_v M^-1 J_v^T; s = 1/m_H. By Woodbury's identity that is the minimum over x of
+
+    (qd - x)^T M (qd - x) + m_H |J_v(p) x|^2.
+
+J_v(p) is affine in p, so for a fixed x this is convex in p, and its maximum over the hull lies at a vertex: any x gives
+a bound of every point of the hull. With weights w on the vertices, x = (M + m_H sum w_i J_i^T J_i)^-1 M qd is the
+motion after contacts of these masses w_i m_H at all vertices at once. Only the twist d = J qd of the link and its
+mobility B = J M^-1 J^T (6, 6) enter: with the rows sqrt(w_i) [1, -skew(r_i)] in T_w, the forces on the vertices are
+u = (s 1 + T_w B T_w^T)^-1 T_w d, h = T_w^T u, the motion of the link after them is x = d - B h, and the bound is
+h^T B h + m_H max_i |v_i(x)|^2. The weights follow by Frank-Wolfe steps; it bounds the energy whatever they are. A
+person of up to v_p in any direction adds v_p to the speeds |v_i(x)|.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from scara_effmass.iso15066.allowable_speed import ContactCase
+from scara_effmass.values import FloatArray
+
+STEPS = 2
+"""Frank-Wolfe steps: with two, the bound of the force is mostly within 2 % of the worst point."""
+FIRST_TRIAL = 0.3
+"""First trial for the length of a step; the second one follows from the slopes."""
+MIN_MOBILITY = 0.01
+"""Smallest mobility [1/kg] of a body part for which the place of a contact is chosen: that of 100 kg."""
+TIE = 1e-9
+"""Relative difference up to which the first vertex counts as the farthest, so that rounding does not choose."""
+
+
+@dataclass(frozen=True, eq=False)
+class Hull:
+    """Convex hull of a link at one joint state: `vertices` (V, 3) [m] from the place of its joint.
+
+    `twist` (6,) is linear, then angular, `mobility` B (6, 6) that of the link in one mass model, both about that place;
+    None for a mass that is the same everywhere. `vertex` is that at which the contact counts, which must move.
+    `energy_of_arm` [J] is qd^T M qd: the bound of x = 0, of contacts that stop all of the arm.
+    """
+
+    vertices: FloatArray
+    twist: FloatArray
+    vertex: int
+    mobility: FloatArray | None = None
+    energy_of_arm: float = math.inf
+
+    @property
+    def velocities(self) -> FloatArray:
+        """Velocities (V, 3) [m/s] of the vertices."""
+        return velocities(self.vertices, self.twist)
+
+    @property
+    def speed_ratio(self) -> float:
+        """Square of the largest speed of a vertex over that of `vertex`."""
+        squares = np.sum(self.velocities**2, axis=1)
+        return max(1.0, float(squares.max() / squares[self.vertex]))
+
+    @property
+    def square(self) -> float:
+        """Square of the speed of `vertex` [m2/s2]."""
+        velocity = self.velocities[self.vertex]
+        return float(velocity @ velocity)
+
+    def with_masses(self, factor: float) -> Hull:
+        """Return the hull of a robot whose masses are `factor` times as large."""
+        if self.mobility is None:
+            return self
+        return replace(self, mobility=self.mobility / factor, energy_of_arm=factor * self.energy_of_arm)
+
+    def energy(self, s: float, person_speed: float = 0.0) -> float:
+        """Return a bound of v^T (s 1 + A)^-1 v [kg m2/s2] of every point, `s` above 0 [1/kg]."""
+        mobility, twist = np.asarray(self.mobility), self.twist
+        maps = np.array([np.hstack([np.eye(3), -skew(r)]) for r in self.vertices])  # T_i
+
+        def evaluate(support: list[int], weights: FloatArray) -> tuple[FloatArray, float]:
+            """Return the squares of the speeds |T_i x| and the bound that they prove."""
+            t_w = np.vstack([math.sqrt(w) * maps[i] for i, w in zip(support, weights, strict=True)])
+            h = t_w.T @ np.linalg.solve(s * np.eye(len(t_w)) + t_w @ mobility @ t_w.T, t_w @ twist)
+            squares = np.sum(velocities(self.vertices, twist - mobility @ h) ** 2, axis=1)
+            speed = math.sqrt(squares.max()) + person_speed
+            return squares, float(h @ mobility @ h) + speed * speed / s
+
+        support, weights = [self.vertex], np.ones(1)
+        squares, bound = evaluate(support, weights)
+        least = min(bound, self.energy_of_arm + person_speed * person_speed / s)
+        for _ in range(STEPS):
+            i, mean = farthest(squares), float(weights @ squares[support])
+            slope = float(squares[i]) - mean
+            if not slope > TIE * mean:
+                break
+            start, support, t = weights, [*support, i], FIRST_TRIAL
+            for _ in range(2):
+                weights = np.append((1.0 - t) * start, t)
+                squares, bound = evaluate(support, weights)
+                least = min(least, bound)
+                t = second_trial(slope, float(squares[i] - start @ squares[support[:-1]]))
+        return least
+
+
+def hull_mobility(cases: Sequence[ContactCase]) -> float:
+    """Return the mobility [1/kg] of the body part that allows the least speed at a given reduced mass.
+
+    It chooses the place at which the contact on a link counts, not the bound. A clamped part counts as a heavy one.
+    """
+    weakest = max(cases, key=lambda case: case.stiffness / case.force**2 / max(case.obstacle_mobility, MIN_MOBILITY))
+    return max(weakest.obstacle_mobility, MIN_MOBILITY)
+
+
+def second_trial(at_start: float, slope: float) -> float:
+    """Return the length of a step where the slope vanishes, by those at its start and at the first trial."""
+    low, high = (FIRST_TRIAL, 1.0) if slope > 0.0 else (0.0, FIRST_TRIAL)
+    t = FIRST_TRIAL * at_start / (at_start - slope) if slope < at_start else 1.0
+    margin = 0.02 * (high - low)
+    return min(max(t, low + margin), high - margin)
+
+
+def farthest(values: FloatArray) -> int:
+    """Return the index of the largest value, of equal ones the first."""
+    index = 0
+    for i, value in enumerate(values.tolist()):
+        if value > values[index] * (1.0 + TIE):
+            index = i
+    return index
+
+
+def velocities(vertices: FloatArray, twist: FloatArray) -> FloatArray:
+    """Return the velocities (V, 3) of points of a body whose `twist` (6,) is linear, then angular."""
+    return np.asarray(twist[:3] + np.cross(twist[3:], vertices))
+
+
+def skew(r: FloatArray) -> FloatArray:
+    """Return the matrix (3, 3) of r x."""
+    x, y, z = r.tolist()
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
