@@ -7,6 +7,8 @@ B = T^T J T, with T the velocities of the motors per joint velocity.
 """
 
 import math
+import reprlib
+import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -28,6 +30,8 @@ MAX_ANGLE_RAD = 7.0
 _ARMATURE_RULE = "must be joint=value (0 or more), joint1,joint2=value"
 CONTINUOUS_LIMIT = 1e6
 """Limit [rad] of a continuous joint read as revolute, for which Pinocchio uses one coordinate, as joint_states do."""
+_MAX_NUMBER = 1e6
+"""Largest magnitude of a length, mass or inertia [SI]; beyond it the dynamics overflow."""
 _MAX_ROTOR_INERTIA = 1e6
 """Largest rotor inertia that is not a typing error."""
 
@@ -212,3 +216,21 @@ def _published(name: str, count: int, origin: str) -> tuple[list[float], str]:
     if len(arm["armature"]) != count:
         raise RobotError(f"{origin}: armature = {name!r}: must be for {count} joints, not {len(arm['armature'])}")
     return arm["armature"], f"{name} ({arm['source']}: {arm['note']})"
+
+
+def numbers_of(
+    element: ET.Element, key: str, where: str, count: int, default: str = "", largest: float = _MAX_NUMBER
+) -> tuple[float, ...]:
+    """Return the `count` numbers of an attribute of a URDF element. Raises RobotError, which `where` begins."""
+    text = element.get(key, default)
+    try:
+        # Python also reads 1_000 and digits of other scripts, which Pinocchio's parser does not.
+        values = tuple(float(word) for word in text.split()) if text.isascii() and "_" not in text else ()
+    except ValueError:
+        values = ()
+    name = f"{where}: <{element.tag} {key}> = {reprlib.repr(text)}"
+    if len(values) != count or not all(map(math.isfinite, values)):
+        raise RobotError(f"{name}: must be {count} finite number{'s' * (count > 1)}")
+    if max(map(abs, values)) > largest:
+        raise RobotError(f"{name}: must be at most {largest:g}")
+    return values

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from scara_effmass.errors import RobotError
-from scara_effmass.model.urdf import UrdfTree
+from scara_effmass.model.description import numbers_of
 from scara_effmass.values import BoolArray, FloatArray
 
 MAX_VERTICES = 16
@@ -34,7 +34,7 @@ _MAX_PLANES = 50
 _FACETS, _SPREAD = 50, 100
 """Numbers of candidate normals: the largest facets of the convex hull, and directions spread over the sphere."""
 _GAP = 1e-7
-"""Distance of the planes from the points, as a share of their size; it differs so that no four planes meet at a point."""
+"""Distance of planes from the points, as a share of their size; it differs so that no four planes meet at a point."""
 _GOLDEN = (1.0 + math.sqrt(5.0)) / 2.0
 _MIN_GAIN = 5e-3
 """Share by which a change must reduce the sum of squared distances."""
@@ -58,21 +58,23 @@ class LinkHull(NamedTuple):
     source: str
 
 
-def urdf_hulls(tree: UrdfTree, frames: Mapping[str, pin.Frame], package_dirs: Sequence[Path]) -> list[LinkHull]:
-    """Return the polytope around the geometry of each link of `tree` that a joint moves.
+def urdf_hulls(
+    links: Mapping[str, ET.Element], origin: str, frames: Mapping[str, pin.Frame], package_dirs: Sequence[Path]
+) -> list[LinkHull]:
+    """Return the polytope around the geometry of each of the `links` of a URDF that a joint moves.
 
-    `frames` are the frames of the links in the reduced model, by name. The geometry is that of all <collision>
-    elements, or of all <visual> ones for a link without collision; a link without either has no polytope. Meshes are
-    searched in `package_dirs`, see `package_folders`. Raises RobotError for a size that is no number and for a mesh
-    that cannot be read.
+    `origin` names the URDF in errors, `frames` are the frames of the links in the reduced model, by name. The geometry
+    is that of all <collision> elements, or of all <visual> ones for a link without collision; a link without either has
+    no polytope. Meshes are searched in `package_dirs`, see `package_folders`. Raises RobotError for a size that is no
+    number and for a mesh that cannot be read.
     """
     hulls = []
-    for name, link in tree.links.items():
+    for name, link in links.items():
         frame = frames[name]
         source = "visual" if link.find("collision") is None else "collision"
         elements = link.findall(source)
         if frame.parentJoint > 0 and elements:
-            where = f"{tree.origin}: link {name}: {source}"
+            where = f"{origin}: link {name}: {source}"
             points = np.concatenate([_points(element, where, package_dirs) for element in elements])
             placed = points @ frame.placement.rotation.T + frame.placement.translation
             hulls.append(stated_hull(name, frame.parentJoint, placed)._replace(source=source))
@@ -100,11 +102,10 @@ def package_folders(path: Path | None, stated: Sequence[Path]) -> list[Path]:
 def outer_vertices(points: FloatArray) -> FloatArray:
     """Return the vertices (V, 3) of a tight convex polytope that contains `points` (N, 3) [m], at most MAX_VERTICES.
 
-    Each of its planes almost touches the points. The planes are chosen to minimise the sum over the vertices of the squared
-    distance from the convex hull of the points, because a bound over the vertices exceeds that over the points by what
-    they stick out. The search starts from the box along the principal axes and adds planes, then it removes each plane
-    in turn and adds others, as long as the sum decreases. Points that lie in one plane or closer together than
-    MIN_THICKNESS_M are thickened.
+    Its planes almost touch the points. They are chosen to minimise the sum over the vertices of the squared distance
+    from the convex hull of the points, because a bound over the vertices exceeds that over the points by what they
+    stick out. The search starts from the box along the principal axes and adds planes; then it removes each plane in
+    turn and adds others, as long as the sum decreases. Points that are flat are thickened first, see MIN_THICKNESS_M.
     """
     return _outer_vertices(_convex_hull(points))
 
@@ -117,15 +118,15 @@ def _points(element: ET.Element, where: str, package_dirs: Sequence[Path]) -> Fl
     if shape.tag == "mesh":
         points = _mesh_points(shape, where, package_dirs)
     elif shape.tag == "box":
-        points = 0.5 * _numbers(shape, "size", where, 3) * _CORNERS
+        points = 0.5 * np.array(numbers_of(shape, "size", where, 3)) * _CORNERS
     else:
-        (radius,) = _numbers(shape, "radius", where, 1)
-        half = 0.0 if shape.tag == "sphere" else 0.5 * _numbers(shape, "length", where, 1)[0]
+        (radius,) = numbers_of(shape, "radius", where, 1)
+        half = 0.0 if shape.tag == "sphere" else 0.5 * numbers_of(shape, "length", where, 1)[0]
         points = _round_points(radius, half, is_flat=shape.tag == "cylinder")
     if origin is None:
         return points
-    rotation = pin.rpy.rpyToMatrix(_numbers(origin, "rpy", where, 3, "0 0 0"))
-    placed: FloatArray = points @ rotation.T + _numbers(origin, "xyz", where, 3, "0 0 0")
+    rotation = pin.rpy.rpyToMatrix(np.array(numbers_of(origin, "rpy", where, 3, "0 0 0")))
+    placed: FloatArray = points @ rotation.T + numbers_of(origin, "xyz", where, 3, "0 0 0")
     return placed
 
 
@@ -150,7 +151,7 @@ def _round_points(radius: float, half: float, *, is_flat: bool) -> FloatArray:
 def _mesh_points(shape: ET.Element, where: str, package_dirs: Sequence[Path]) -> FloatArray:
     """Return the vertices (N, 3) [m] of a mesh. Raises RobotError."""
     name = shape.get("filename", "")
-    scale = _numbers(shape, "scale", where, 3, "1 1 1")
+    scale = np.array(numbers_of(shape, "scale", where, 3, "1 1 1"))
     try:
         file = name.partition("://")[2] or name
         path = next(path for folder in (*package_dirs, Path("/")) if (path := folder / file).is_file())
@@ -166,17 +167,6 @@ def _mesh_points(shape: ET.Element, where: str, package_dirs: Sequence[Path]) ->
     if not len(points) or not np.isfinite(points).all():
         raise RobotError(f"{where}: mesh = {name!r}: must be a mesh in STL, OBJ, COLLADA or the like")
     return points
-
-
-def _numbers(element: ET.Element, key: str, where: str, count: int, default: str = "") -> FloatArray:
-    text = element.get(key, default)
-    try:
-        values = np.array(text.split(), dtype=float)
-    except ValueError:
-        values = np.empty(0)
-    if values.shape != (count,) or not np.isfinite(values).all():
-        raise RobotError(f"{where}: <{element.tag} {key}> = {text!r}: must be {count} finite number{'s' * (count > 1)}")
-    return values
 
 
 def _convex_hull(points: FloatArray) -> ConvexHull:
@@ -197,7 +187,7 @@ def _outer_vertices(hull: ConvexHull) -> FloatArray:
     corners = hull.points[hull.vertices]
     centre, size = corners.mean(axis=0), np.ptp(corners, axis=0).max()
     vertices = centre + size * _PlaneSearch((corners - centre) / size, _normals(hull)).vertices()
-    # Whatever rounding does, no point must be outside.
+    # No point must be outside, whatever the rounding.
     planes = ConvexHull(vertices).equations
     ratios = (corners - centre) @ planes[:, :3].T / -(planes[:, :3] @ centre + planes[:, 3])
     enlarged: FloatArray = centre + max(1.0, ratios.max()) * (vertices - centre)
@@ -232,7 +222,7 @@ class _PlaneSearch:
         failures = 0
         while failures < len(planes):
             total, others, trial = self._completed(planes[1:])
-            if total < (1.0 - _MIN_GAIN) * best:
+            if total < (1.0 - _MIN_GAIN) * best or (total <= best and len(trial) < len(vertices)):
                 best, planes, vertices, failures = total, others, trial, 0
             else:
                 planes, failures = [*planes[1:], planes[0]], failures + 1
@@ -281,7 +271,7 @@ class _PlaneSearch:
 
 def _squared_distances(beyond: FloatArray) -> FloatArray:
     """Return the squared distance (V,) of each vertex from the points, by the plane that it is farthest beyond."""
-    distances: FloatArray = np.maximum(beyond.max(axis=1), 0.0)
+    distances: FloatArray = np.maximum(beyond.max(axis=1) - 10.0 * _GAP, 0.0)  # the corners of a box need no cut
     return distances * distances
 
 

@@ -7,7 +7,6 @@ Pinocchio's parser skips what it cannot read, with a message on stderr only, so 
 from __future__ import annotations
 
 import math
-import reprlib
 import xml.etree.ElementTree as ET
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -29,6 +28,7 @@ from scara_effmass.model.description import (
     StatedLink,
     contact_point,
     inertia_tensor,
+    numbers_of,
     principal_moments,
     rotor_inertia,
 )
@@ -41,12 +41,14 @@ CHAIN_NOTES = (
     "chains of as many joints ",
     "held fixed in the model: ",
     "the arm ends at its gripper",
+    "links as a whole: ",
+    "links that contact_links leaves out: ",
+    "by their visual geometry",
+    "no link has geometry",
 )
-"""Starts of the notes on which joints the model moves, and why."""
+"""Starts of the notes on which joints the model moves and which links are watched, and why."""
 MAX_JOINTS = 500
 """Largest number of joints in a file, fixed ones included; the time to check them grows with its square."""
-_MAX_NUMBER = 1e6
-"""Largest magnitude of a length, mass or inertia [SI]; beyond it the dynamics overflow."""
 LIGHT_SHARE = 0.1
 """Share of the moving mass below which joints beyond a contact point may be held in the model."""
 MAX_FINGER_JOINTS = 5
@@ -147,7 +149,7 @@ def _hulls(
 
     path = Path(tree.origin)
     folders = package_folders(path if path.is_file() else None, [Path(folder) for folder in settings.package_dirs])
-    found = urdf_hulls(tree, frames, folders)
+    found = urdf_hulls(tree.links, tree.origin, frames, folders)
     points = {name: (joint, pose) for name, joint, pose in placed}
     hulls, left_out = dict[str, FloatArray](), list[str]()
     for hull in found:
@@ -466,13 +468,13 @@ class UrdfTree:
 def _check_pose(joint: ET.Element, where: str) -> None:
     pose, axis = joint.find("origin"), joint.find("axis")
     if pose is not None:
-        _numbers(pose, "xyz", where, 3, default="0 0 0")
-        angles = _numbers(pose, "rpy", where, 3, default="0 0 0")
+        numbers_of(pose, "xyz", where, 3, default="0 0 0")
+        angles = numbers_of(pose, "rpy", where, 3, default="0 0 0")
         if max(map(abs, angles)) > MAX_ANGLE_RAD:
             raise RobotError(f"{where}: <origin rpy> = {pose.get('rpy')!r}: must be in radians, not in degrees")
     if (
         axis is not None
-        and math.hypot(*_numbers(axis, "xyz", where, 3)) < _MIN_AXIS_LENGTH
+        and math.hypot(*numbers_of(axis, "xyz", where, 3)) < _MIN_AXIS_LENGTH
         and joint.get("type") in MOVING
     ):
         raise RobotError(f"{where}: axis = {axis.get('xyz')!r}: must have a direction")
@@ -507,10 +509,10 @@ def _check_limit(joint: ET.Element, where: str) -> None:
     hint = f', in the file or as joint_limits "{joint.get("name")}=LOWER UPPER"'
     if limit is None:
         raise RobotError(f"{where}: must have <limit> with lower < upper{hint}")
-    lower, upper = (_numbers(limit, key, where, 1, default="0", largest=math.inf)[0] for key in ("lower", "upper"))
+    lower, upper = (numbers_of(limit, key, where, 1, default="0", largest=math.inf)[0] for key in ("lower", "upper"))
     if lower >= upper:
         raise RobotError(f"{where}: limit lower = {lower:g}: must be < upper = {upper:g}{hint}")
-    if _numbers(limit, "velocity", where, 1, largest=math.inf)[0] < 0.0:
+    if numbers_of(limit, "velocity", where, 1, largest=math.inf)[0] < 0.0:
         raise RobotError(f"{where}: limit velocity = {limit.get('velocity')!r}: must not be negative")
 
 
@@ -541,33 +543,16 @@ def _stated(name: str, link: ET.Element, origin: str) -> list[StatedLink]:
     pose, mass, inertia = (inertial.find(tag) for tag in ("origin", "mass", "inertia"))
     if mass is None or inertia is None:
         raise RobotError(f"{where}: <inertial> must have <mass> and <inertia>")
-    com = (0.0, 0.0, 0.0) if pose is None else _numbers(pose, "xyz", where, 3, default="0 0 0")
+    com = (0.0, 0.0, 0.0) if pose is None else numbers_of(pose, "xyz", where, 3, default="0 0 0")
     if pose is not None:
-        _numbers(pose, "rpy", where, 3, default="0 0 0")
-    (mass_kg,) = _numbers(mass, "value", where, 1)
+        numbers_of(pose, "rpy", where, 3, default="0 0 0")
+    (mass_kg,) = numbers_of(mass, "value", where, 1)
     if mass_kg < 0.0:
         raise RobotError(f"{where}: mass = {mass_kg:g}: must not be negative")
     keys = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-    tensor = inertia_tensor([_numbers(inertia, key, where, 1)[0] for key in keys])
+    tensor = inertia_tensor([numbers_of(inertia, key, where, 1)[0] for key in keys])
     try:
         principal_moments(tensor)
     except ValueError as error:
         raise RobotError(f"{where}: inertia: {error}") from None
     return [StatedLink(name, mass_kg, np.array(com), tensor)]
-
-
-def _numbers(
-    element: ET.Element, key: str, where: str, count: int, default: str = "", largest: float = _MAX_NUMBER
-) -> tuple[float, ...]:
-    text = element.get(key, default)
-    try:
-        # Python also reads 1_000 and digits of other scripts, which Pinocchio's parser does not.
-        values = tuple(float(word) for word in text.split()) if text.isascii() and "_" not in text else ()
-    except ValueError:
-        values = ()
-    name = f"{where}: <{element.tag} {key}> = {reprlib.repr(text)}"
-    if len(values) != count or not all(map(math.isfinite, values)):
-        raise RobotError(f"{name}: must be {count} finite number{'s' * (count > 1)}")
-    if max(map(abs, values)) > largest:
-        raise RobotError(f"{name}: must be at most {largest:g}")
-    return values

@@ -77,6 +77,9 @@ class TestOuterVertices:
         assert_contains(hull.vertices, points @ TURN.T + 0.5)
         assert 1.0 <= hull.looseness < looseness
 
+    def test_cube_keeps_its_corners(self) -> None:
+        assert len(outer_vertices(0.1 * CUBE)) == len(outer_vertices(0.1 * CUBE @ TURN.T)) == 8
+
     def test_few_points_are_thickened_by_little(self) -> None:
         for points in (np.zeros((1, 3)), CUBE[:2], CUBE[:3], CUBE[:4]):
             vertices = outer_vertices(0.1 * points)
@@ -113,7 +116,8 @@ def arm(*links: str) -> str:
 def hulls(text: str, package_dirs: Sequence[Path] = (), locked: Sequence[str] = ()) -> list[LinkHull]:
     model = parse_urdf(text, "arm.urdf", MonitorSettings(locked_joints=tuple(locked))).model
     tree = read_urdf(text, "arm.urdf", locked, {})
-    return urdf_hulls(tree, {name: model.frames[model.getBodyId(name)] for name in tree.links}, package_dirs)
+    frames = {name: model.frames[model.getBodyId(name)] for name in tree.links}
+    return urdf_hulls(tree.links, tree.origin, frames, package_dirs)
 
 
 def upper_hull(*shapes: str, package_dirs: Sequence[Path] = ()) -> LinkHull:
@@ -158,7 +162,8 @@ class TestShapes:
         hull = upper_hull('<origin xyz="0.5 0 0" rpy="0 0 1.5707963267948966"/><box size="0.2 0.4 0.6"/>')
         assert_contains(hull.vertices, CUBE * (0.2, 0.1, 0.3) + (0.5, 0.0, 0.0))
         assert_contains(CUBE * (0.2, 0.1, 0.3) * (1.0 + 1e-5) + (0.5, 0.0, 0.0), hull.vertices)
-        assert hull.looseness == pytest.approx(1.0)
+        assert len(hull.vertices) == 8
+        assert hull.looseness == pytest.approx(1.0, abs=1e-5)
 
     @pytest.mark.parametrize(
         ("shape", "points"),
@@ -198,8 +203,8 @@ class TestLinks:
         )
         upper, fore, flange = hulls(text)
         assert [(hull.link, hull.joint) for hull in (upper, fore, flange)] == [("upper", 1), ("fore", 2), ("flange", 2)]
-        assert flange.vertices.mean(axis=0) == pytest.approx([0.0, 0.0, 0.5])
-        assert np.ptp(flange.vertices, axis=0) == pytest.approx([0.1, 0.3, 0.2])
+        assert flange.vertices.mean(axis=0) == pytest.approx([0.0, 0.0, 0.5], abs=1e-6)
+        assert np.ptp(flange.vertices, axis=0) == pytest.approx([0.1, 0.3, 0.2], abs=1e-6)
         # A held joint carries its link with the joint before it.
         assert [(hull.link, hull.joint) for hull in hulls(text, locked=["j2"])] == [
             ("upper", 1),

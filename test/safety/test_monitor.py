@@ -96,14 +96,14 @@ def test_unusable_stamp_gives_the_time_of_the_clock_and_no_age(scara: RobotDynam
 def test_unknown_contact_states_no_number() -> None:
     contact = unknown_contact("tool", "no data", Reason.NO_ROBOT)
     assert (contact.contact_point, contact.reason, contact.reason_code) == ("tool", "no data", Reason.NO_ROBOT)
-    assert contact.direction == (0.0, 0.0, 0.0)
+    assert contact.position == contact.position_in_link == contact.direction == (0.0, 0.0, 0.0)
     assert math.isnan(contact.lumped_mass)
     assert math.isnan(contact.full_mass)
     assert contact.lumped_mobility == contact.full_mobility == (0.0,) * 6
     assert contact.test_direction == (0.0, 0.0, 0.0)
     names = set(contact._fields) - {
         *("contact_point", "reason", "reason_code", "direction", "lumped_mass", "full_mass"),
-        *("lumped_mobility", "full_mobility", "test_direction"),
+        *("lumped_mobility", "full_mobility", "test_direction", "position", "position_in_link"),
     }
     assert {name for name in names if getattr(contact, name)} == set()
 

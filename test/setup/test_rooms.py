@@ -55,7 +55,7 @@ IMPORTERS = {
     "matplotlib": {"analysis", "studies"},
     "numba": {"kernel"},
     "pyarrow": {"analysis", "bags", "studies"},
-    "scipy": {"analysis", "cell", "daq", "impacts", "iso15066", "reference", "sim", "studies"},
+    "scipy": {"analysis", "cell", "daq", "impacts", "iso15066", "model", "reference", "sim", "studies"},
 }
 """The rooms that may import a library."""
 MESSAGE_IMPORTERS = {"nodes", "wire", "cli"}
