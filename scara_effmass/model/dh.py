@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from fnmatch import fnmatchcase
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -26,7 +28,7 @@ from scara_effmass.model.description import (
     principal_moments,
     rotor_inertia,
 )
-from scara_effmass.settings import MonitorSettings
+from scara_effmass.settings import WHOLE_ARM, MonitorSettings
 from scara_effmass.settings.loading import FrozenSettings, broken_rule, nearest
 from scara_effmass.values import FloatArray
 
@@ -40,6 +42,7 @@ def _bounded(value: float) -> float:
 Number = Annotated[float, Strict(), AfterValidator(_bounded)]
 """A finite number; a magnitude above a million [SI] is a typing error and would overflow later."""
 Point = tuple[Number, Number, Number]
+Extent = Annotated[Number, Field(gt=0.0)]
 Inertia = Number | tuple[Number, Number, Number, Number, Number, Number]
 
 
@@ -95,13 +98,24 @@ class DhJoint(_Strict):
         return self.link_in_joint() * pin.SE3(rotation, np.array([self.a, 0.0, 0.0]))
 
 
+class DhBox(_Strict):
+    """Box of `size` along the axes of the link frame [m]."""
+
+    center: Point
+    size: tuple[Extent, Extent, Extent]
+
+
 class DhLink(_Strict):
-    """Mass [kg], centre of mass [m] and, where known, inertia about it [kg m2], in the link frame."""
+    """Mass [kg], centre of mass [m] and, where known, inertia about it [kg m2], in the link frame.
+
+    `boxes` contain the link; without any, `whole_arm` does not watch it.
+    """
 
     name: str = Field(min_length=1)
     mass: Number = Field(ge=0.0)
     com: Point
     inertia: Inertia | None = None
+    boxes: tuple[DhBox, ...] = ()
 
     @field_validator("inertia")
     @classmethod
@@ -261,6 +275,10 @@ def _described(file: DhFile, origin: str, settings: MonitorSettings) -> RobotDes
     for name, number, at in _contact_points(file, origin, settings.contact_points):
         pose = file.joints[number - 1].link_in_joint() if number else placement
         points.append((name, number or parent, pose * pin.SE3(np.eye(3), np.array(at))))
+    hulls: dict[str, FloatArray] = {}
+    if WHOLE_ARM in settings.contact_points:
+        hulls, watched = _hulls(file, origin, settings, [name for name, *_ in points])
+        points += watched
     return RobotDescription(
         origin=origin,
         base_frame=file.base_frame,
@@ -272,7 +290,30 @@ def _described(file: DhFile, origin: str, settings: MonitorSettings) -> RobotDes
         tip=placement,
         notes=(),
         stated=frozenset(_stated(file)),
+        hulls=hulls,
     )
+
+
+def _hulls(
+    file: DhFile, origin: str, settings: MonitorSettings, taken: Collection[str]
+) -> tuple[dict[str, FloatArray], list[tuple[str, int, pin.SE3]]]:
+    """Return the hulls of the links that `whole_arm` watches, and these as contact points. Raises RobotError."""
+    from scara_effmass.model.hulls import stated_hull  # noqa: PLC0415 - scipy.spatial takes long to import
+
+    hulls, points = dict[str, FloatArray](), list[tuple[str, int, pin.SE3]]()
+    if not any(link.boxes for link in file.links):
+        raise RobotError(f"{origin}: contact_points = {WHOLE_ARM!r}: no link has boxes: state them, or name points")
+    for joint, (row, link) in enumerate(zip(file.joints, file.links, strict=True), start=1):
+        if not link.boxes or not any(fnmatchcase(link.name, glob) for glob in settings.contact_links):
+            continue
+        if link.name in taken:
+            raise RobotError(f"{origin}: contact_points.{link.name}: must have another name than the link")
+        pose = row.link_in_joint()
+        signs = np.array([*product((-0.5, 0.5), repeat=3)])
+        corners = np.concatenate([np.array(box.center) + signs * np.array(box.size) for box in link.boxes])
+        hulls[link.name] = stated_hull(link.name, joint, corners @ pose.rotation.T + pose.translation).vertices
+        points.append((link.name, joint, pose))
+    return hulls, points
 
 
 def _stated(file: DhFile) -> Iterator[Assumption]:
@@ -286,10 +327,10 @@ def _stated(file: DhFile) -> Iterator[Assumption]:
 
 def _contact_points(file: DhFile, origin: str, entries: Sequence[str]) -> Iterator[tuple[str, int, Point]]:
     """Yield name, number of the link (0: the last DH frame) and position of each contact point."""
-    if not entries:
+    if {*entries} <= {WHOLE_ARM}:
         for name, point in file.contact_points.items():
             yield name, file.link_number(point.link, name), point.at
-    for entry in dict.fromkeys(entries):
+    for entry in dict.fromkeys(entry for entry in entries if entry != WHOLE_ARM):
         name, link, at = contact_point(entry)
         if link:
             try:

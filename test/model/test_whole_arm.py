@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`contact_points: whole_arm` on a URDF: which links are watched, under which names, and what is refused."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from scara_effmass.errors import RobotError, SettingsError
+from scara_effmass.model.load import load_robot
+from scara_effmass.reference import RobotDynamics
+from scara_effmass.safety import Monitor
+from scara_effmass.safety.assumptions import scope
+from scara_effmass.settings import MonitorSettings, checked
+from scara_effmass.share import share
+
+LINK = """<link name="{name}"><inertial><mass value="2"/><origin xyz="0.15 0 0"/>
+<inertia ixx="0.01" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial>{shapes}</link>"""
+BOX = '<{kind}><origin xyz="{at}"/><geometry><box size="{size}"/></geometry></{kind}>'
+JOINT = """<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/><origin xyz="{at} 0 0"/>
+<axis xyz="0 0 1"/><limit lower="-3" upper="3" effort="50" velocity="3"/></joint>"""
+
+
+@pytest.fixture
+def arm(tmp_path: Path) -> Path:
+    """A planar arm: a forearm with a housing that sticks out behind, a flange, and a camera that is only visible."""
+    housing = BOX.format(kind="collision", at="0.1 0 0", size="0.5 0.1 0.1")
+    links = [
+        '<link name="base"/>',
+        LINK.format(name="upper_arm", shapes=BOX.format(kind="collision", at="0.15 0 0", size="0.3 0.1 0.1")),
+        LINK.format(name="forearm", shapes=housing),
+        '<link name="flange"/>',
+        f'<link name="camera">{BOX.format(kind="visual", at="0 0 0", size="0.05 0.05 0.05")}</link>',
+    ]
+    joints = [
+        JOINT.format(name="joint1", kind="revolute", parent="base", child="upper_arm", at=0.0),
+        JOINT.format(name="joint2", kind="revolute", parent="upper_arm", child="forearm", at=0.3),
+        JOINT.format(name="flange_joint", kind="fixed", parent="forearm", child="flange", at=0.35),
+        JOINT.format(name="camera_joint", kind="fixed", parent="forearm", child="camera", at=0.2),
+    ]
+    path = tmp_path / "arm.urdf"
+    path.write_text(f'<robot name="arm">{"".join([*links, *joints])}</robot>', encoding="utf-8")
+    return path
+
+
+def test_every_link_with_geometry_is_a_contact(arm: Path) -> None:
+    settings = MonitorSettings(contact_points=("whole_arm", "flange"))
+    dynamics = RobotDynamics(load_robot(arm, settings))
+    assert dynamics.contact_points == ("flange", "upper_arm", "forearm", "camera")
+    assert "by their visual geometry, without another: camera" in dynamics.robot.notes
+    assert "slower than the allowable speed at flange, upper_arm, forearm, camera" in scope(dynamics.robot, settings)
+    left_out = load_robot(arm, MonitorSettings(contact_points=("whole_arm",), contact_links=("*arm",)))
+    assert RobotDynamics(left_out).contact_points == ("camera", "upper_arm", "forearm")
+    assert "links that contact_links leaves out: camera" in left_out.notes
+
+
+def test_the_worst_place_of_a_link_is_reported_where_it_is(arm: Path) -> None:
+    """The housing behind the elbow moves fastest while the arm turns back on itself."""
+    settings = MonitorSettings(contact_points=("whole_arm", "flange"))
+    monitor = Monitor(RobotDynamics(load_robot(arm, settings)), settings)
+    contacts = monitor.assess_configurations(np.array([[0.0, 2.9]]), np.array([[1.0, 0.5]])).contacts[0]
+    flange, upper_arm, forearm, _ = contacts
+    assert forearm["position_in_link"][0] == pytest.approx(-0.15, abs=1e-6)
+    assert abs(forearm["position_in_link"][1]) == pytest.approx(0.05, abs=1e-6)
+    angle = 2.9
+    turned = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    assert forearm["position"][:2] == pytest.approx([0.3, 0.0] + turned @ forearm["position_in_link"][:2])
+    assert forearm["speed"] > 3.0 * flange["speed"]
+    assert forearm["force_bound"] > upper_arm["force_bound"] > 0.0
+    assert not flange["position_in_link"].any()
+
+
+def test_a_robot_without_geometry_keeps_its_points_and_says_so(arm: Path) -> None:
+    text = arm.read_text(encoding="utf-8")
+    for kind in ("collision", "visual"):
+        text = text.replace(f"<{kind}>", "<!--").replace(f"</{kind}>", "-->")
+    arm.write_text(text, encoding="utf-8")
+    robot = load_robot(arm, MonitorSettings(contact_points=("whole_arm",)))
+    assert RobotDynamics(robot).contact_points == ("camera",)
+    assert "no link has geometry: only the contact points are watched" in robot.notes
+
+
+def test_boxes_of_a_dh_file_are_links_as_a_whole(tmp_path: Path) -> None:
+    settings = MonitorSettings(contact_points=("whole_arm",))
+    dynamics = RobotDynamics(load_robot(share("config", "omron_i4_550l.yaml"), settings))
+    assert dynamics.contact_points[-4:] == ("link1", "link2", "link3", "link4")
+    link2 = dynamics.robot.hulls["link2"]
+    assert np.ptp(link2, axis=0) == pytest.approx([0.425, 0.15, 0.2], abs=1e-3)
+    path = tmp_path / "bare.yaml"
+    path.write_text(
+        "".join(
+            line
+            for line in share("config", "omron_i4_550l.yaml").read_text(encoding="utf-8").splitlines(keepends=True)
+            if "boxes:" not in line
+        ),
+        encoding="utf-8",
+    )
+    with pytest.raises(RobotError, match="contact_points = 'whole_arm': no link has boxes: state them, or name points"):
+        load_robot(path, settings)
+
+
+def test_a_known_contact_normal_is_refused() -> None:
+    values = {"contact_points": ["whole_arm"], "contact_normal": "velocity"}
+    with pytest.raises(SettingsError, match=r"contact_normal.*must be worst with contact_points = whole_arm"):
+        checked(MonitorSettings, values, "monitor")
