@@ -28,6 +28,8 @@ from scara_effmass.settings import MonitorSettings
 RECORDING = "recording"
 """Folder of the recording below the output folder of a demo."""
 SIM_TIME = ["--ros-args", "-p", "use_sim_time:=true"]
+SHAPE = ("contact_points", "contact_links", "package_dirs", "joint_map", "joint_names")
+"""Parameters of the monitor that change what a viewer shows of the robot."""
 START_TIMEOUT_S = 60.0
 STOP_TIMEOUT_S = 30.0
 DOMAINS = 101
@@ -133,7 +135,7 @@ def monitor_command(args: argparse.Namespace, settings: MonitorSettings) -> list
 
 def visualization_command(settings: MonitorSettings) -> list[str]:
     """Return the command that publishes markers of the robot, so that a viewer can show the recording in 3-D."""
-    names = {key: list(getattr(settings, key)) or None for key in ("contact_points", "joint_map", "joint_names")}
+    names = {key: list(getattr(settings, key)) or None for key in SHAPE}
     return ["visualization", *node_arguments(None, {"robot": str(settings.robot_path), **names}, SIM_TIME)]
 
 

@@ -41,7 +41,7 @@ CHAIN_NOTES = (
     "chains of as many joints ",
     "held fixed in the model: ",
     "the arm ends at its gripper",
-    "links as a whole: ",
+    "links as a whole, ",
     "links that contact_links leaves out: ",
     "by their visual geometry",
     "no link has geometry",
@@ -162,7 +162,8 @@ def _hulls(
             hulls[hull.link] = hull.vertices
     if not found:
         return hulls, ["no link has geometry: only the contact points are watched"]
-    notes = [f"links as a whole: {', '.join(hulls)}"]
+    shapes = ", ".join(f"{hull.link} {hull.looseness:.2f}" for hull in found if hull.link in hulls)
+    notes = [f"links as a whole, by polytopes with a volume over that of their convex hull of: {shapes}"]
     if left_out:
         notes.append(f"links that contact_links leaves out: {', '.join(left_out)}")
     if visual := [hull.link for hull in found if hull.source == "visual" and hull.link in hulls]:

@@ -139,7 +139,9 @@ class VisualizationNode(LifecycleBase):
             contacts.append(unknown_contact("", str(pose)))
         else:
             geometry = pose_geometry(dynamics.robot, dynamics.lumped, pose.position)
-            places = geometry.contact_points
+            # A link as a whole is marked at its worst place.
+            worst = {contact.contact_point: contact.position for contact in contacts if any(contact.position_in_link)}
+            places = dict(geometry.contact_points) | worst
             for marker in robot_markers(geometry):
                 yield stamp(marker, stamp_ns=pose.stamp_ns)
         scales = {"ellipsoid_scale": settings.ellipsoid_scale, "arrow_scale": settings.arrow_scale}
