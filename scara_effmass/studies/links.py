@@ -10,7 +10,6 @@ import argparse
 from pathlib import Path
 from typing import NamedTuple
 
-import coal
 import numpy as np
 import pinocchio as pin
 
@@ -69,7 +68,7 @@ def surfaces(path: Path, settings: MonitorSettings, seed: int) -> dict[str, tupl
     rng, model, found = np.random.default_rng(seed), pin.buildModelFromUrdf(str(path)), {}
     folders = [str(folder) for folder in package_folders(path, [Path(folder) for folder in settings.package_dirs])]
     shapes = pin.buildGeomFromUrdf(model, str(path), pin.GeometryType.COLLISION, folders).geometryObjects
-    for shape in (s for s in shapes if s.parentJoint > 0 and isinstance(s.geometry, coal.BVHModelBase)):
+    for shape in (s for s in shapes if s.parentJoint > 0 and hasattr(s.geometry, "tri_indices")):
         mesh = shape.geometry
         vertices = np.array(mesh.vertices())
         corners = vertices[[[mesh.tri_indices(i)[k] for k in range(3)] for i in range(mesh.num_tris)]]

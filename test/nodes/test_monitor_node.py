@@ -496,6 +496,18 @@ MAX_PENDING = 500
 """Maximum number of unanswered joint states, half of the monitor's queue, so that a slow monitor drops none."""
 
 
+def test_links_as_a_whole_are_in_the_message(new_harness: Callable[..., NodeHarness]) -> None:
+    harness = new_harness("--ros-args", "-p", "contact_points:=[whole_arm]")
+    harness.subscribe()
+    contacts = harness.send_until_ok().message.contacts
+    assert [contact.contact_point for contact in contacts] == ["tool", "elbow", "link1", "link2", "link3", "link4"]
+    tool, link2 = contacts[0], contacts[3]
+    corner = np.array([link2.position_in_link.x, link2.position_in_link.y, link2.position_in_link.z])
+    assert np.abs(corner - [0.1375, 0.0, 0.1]) == pytest.approx([0.2125, 0.075, 0.1], abs=1e-3)
+    assert tool.position_in_link.x == tool.position_in_link.y == 0.0
+    assert link2.position.x != 0.0
+
+
 def test_every_joint_state_of_a_1_khz_stream_is_answered(
     new_harness: Callable[..., NodeHarness], tmp_path: Path
 ) -> None:
