@@ -3,7 +3,7 @@
 
     python -m scara_effmass.studies.links ur10_robot.urdf [URDF ...] --package-dir FOLDER
 
-Random configurations and joint velocities with a seed; bounds are computed and compared, no contact is simulated.
+Random configurations and joint velocities with a seed. The tables compare bounds; `--impacts` simulates contacts.
 """
 
 import argparse
@@ -13,16 +13,20 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from scara_effmass.iso15066 import limits_for
 from scara_effmass.model.hulls import package_folders
 from scara_effmass.model.load import load_robot
 from scara_effmass.model.robot import Robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
-from scara_effmass.settings import WHOLE_ARM, MonitorSettings
+from scara_effmass.settings import WHOLE_ARM, MonitorSettings, ServoSettings
+from scara_effmass.studies.bounds import MonitoredArm, settings_for
 from scara_effmass.values import FloatArray
 
 POINTS = 2000
 """Random points on the surface of each link, besides the vertices of its mesh."""
+PLACES = 30
+"""Places of each link that can be hit: the vertices of its hull, and random ones within it."""
 REGIONS = ("hand_fingers", "upper_arm_elbow", "chest")
 """Body regions with a light, a middle and a heavy body part."""
 
@@ -126,16 +130,61 @@ def largest_energy(points: FloatArray, twist: FloatArray, mobility: FloatArray, 
     return float((np.einsum("ni,nij,nj->n", v, adjugate, v) / determinants).max())
 
 
+def impacts(path: Path, settings: MonitorSettings, count: int, seed: int) -> FloatArray:
+    """Return the simulated peak force over the limit (count,) of impacts at the worst of PLACES places of a link.
+
+    The link, its places, body region, pose and joint velocities are random, and every other contact has servo drives;
+    the speed is that allowed for the link as a whole, all margins are 0, and the plate has the worst normal.
+    """
+    rng, whole = np.random.default_rng(seed), settings.model_copy(update={"contact_points": (WHOLE_ARM,)})
+    robot = load_robot(path, whole)
+    links, entries = [*robot.hulls], list[str]()
+    for name, vertices in robot.hulls.items():
+        pose = robot.model.frames[robot.contact_frames[name]].placement
+        mixed = rng.dirichlet(np.full(len(vertices), 0.2), PLACES - len(vertices)) @ vertices
+        for number, place in enumerate(np.vstack([vertices, mixed])):
+            x, y, z = pose.actInv(place).tolist()
+            entries.append(f"{name} {number}={name}: {x!r} {y!r} {z!r}")
+    arm = MonitoredArm(path, settings.model_copy(update={"contact_points": (*entries, WHOLE_ARM)}))
+    points = arm.dynamics.contact_points
+    regions = [limit.region for limit in limits_for(settings_for())]
+    ratios: list[float] = []
+    while len(ratios) < count:
+        servo = ServoSettings(bandwidth=float(rng.choice((1.0, 5.0, 20.0)))) if len(ratios) % 2 else None
+        drives = {"drives": "servo", "servo": servo} if servo else {}
+        chosen, link = settings_for(regions[rng.integers(len(regions))], **drives), links[rng.integers(len(links))]
+        places = [i for i, name in enumerate(points) if name.startswith(f"{link} ")]
+        q = rng.uniform(arm.lower, arm.upper)
+        creep = 1e-2 * rng.uniform(-1.0, 1.0, len(q))
+        qd = arm.allowed(q, creep, chosen, points.index(link))
+        if qd is None or not qd.any():
+            continue
+        found = arm.monitor(chosen).assess_configurations(q[None], qd[None]).contacts[0]
+        point = places[int(np.argmax(found["force_bound"][places]))]
+        (limit,) = limits_for(chosen)
+        normal = arm.sim.worst_normal(q, qd, limit, servo, point)
+        ratios.append(arm.sim.touch(q, qd, normal, limit, servo, point).force / limit.permissible_force_n)
+    return np.array(ratios)
+
+
 def main() -> None:
-    """Print both tables."""
+    """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("urdf", nargs="+", type=Path)
     parser.add_argument("--package-dir", action="append", default=[])
     parser.add_argument("--states", type=int, default=10_000)
+    parser.add_argument("--impacts", type=int, default=0, help="simulate so many impacts in place of the tables")
     parser.add_argument("--seed", type=int, default=1)
     args = parser.parse_args()
     settings = MonitorSettings(package_dirs=tuple(args.package_dir))
     for path in args.urdf:
+        if args.impacts:
+            forces = impacts(path, settings, args.impacts, args.seed)
+            for drives, values in (("free", forces[::2]), ("servo", forces[1::2])):
+                over, p50 = int(np.sum(values > 1.0)), float(np.median(values))
+                text = f"{over} of {len(values)} impacts above the limit, worst {values.max():.3f}, median {p50:.3f}"
+                print(f"{path.stem}, {drives} drives: {text}")  # noqa: T201
+            continue
         miss = missed(path, settings, args.states, args.seed)
         links = ", ".join(f"{name} {share:.0%}" for name, share in miss.governing.items() if share >= 0.01)
         print(  # noqa: T201
