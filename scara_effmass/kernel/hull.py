@@ -153,8 +153,7 @@ def worst_vertex(k: int, s: float, is_moving: bool, point: Point, work: Work) ->
             value = dot(v, v)
         else:
             m = mobility_at(work.twist_mobility[k], lever)
-            least = smallest_eigenvalue(m, point.rank)
-            value = energy_at(m, s, v) if is_moving else (1.0 / least if least > 0.0 else math.inf)
+            value = energy_at(m, s, v) if is_moving else inverse(smallest_eigenvalue(m, point.rank))
         if value > largest * (1.0 + TIE):
             worst, largest = i, value
     return worst

@@ -194,10 +194,11 @@ def governing_case(
             excess = case.force / drives.max_force if drives.max_force > 0.0 else math.inf
             rate *= excess * excess
         for k in range(len(mobilities)):
-            speed = slowest.speed * (1.0 + work.growths[k] * max(0.0, slowest.speed)) + work.gains[k]
+            least = min(slowest.speed, bound.speed)
+            speed = least * (1.0 + work.growths[k] * max(0.0, least)) + work.gains[k]
             heaviest = min(work.max_masses[k], case.body_mass * mobilities[k].speed_ratio)
             no_slower = speed <= 0.0 or heaviest * rate * speed * speed <= 1.0
-            if not no_slower or slowest.speed < 0.0:  # `speed` may be NaN, and bounds no negative one
+            if not no_slower or least < 0.0:  # `speed` may be NaN, and bounds no negative one
                 other = case_bound(case, mobilities[k], factor, rate, speed)
                 if other.speed < bound.speed:
                     bound = other
