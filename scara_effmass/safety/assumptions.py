@@ -70,7 +70,8 @@ RULES: Mapping[Assumption, Rule] = {
     Assumption.CONTACT_POINTS: Rule(
         is_permissive=True,
         parameters=("contact_points",),
-        text="contact points not stated, only the end of the arm is watched: --contact-point whole_arm, or each that can hit",
+        text="contact points not stated, only the end of the arm is watched: --contact-point whole_arm, or each that "
+        "can hit",
     ),
     Assumption.MASSES: Rule(
         is_permissive=True,
