@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import reprlib
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
 from itertools import product
@@ -250,7 +251,7 @@ def _place(keys: Sequence[int | str], rows: Any) -> str:  # noqa: ANN401 - what 
             rows = rows.get(key)
         elif isinstance(rows, list) and isinstance(key, int):
             rows = rows[key] if key < len(rows) else None
-            name = rows.get("name", "") if isinstance(rows, dict) else ""
+            name = reprlib.repr(rows.get("name", "")).strip("'") if isinstance(rows, dict) else ""
             place += f" {key + 1}{f' ({name})' if name else ''}"
     return place or "file"
 

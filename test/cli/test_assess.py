@@ -65,6 +65,8 @@ def columns_of(field: str) -> list[str]:
     """Return the columns of a table that hold a field of the assessment."""
     if field in {"direction", "test_direction"}:
         return [f"{field}_{axis}" for axis in "xyz"]
+    if field.startswith("position"):
+        return [f"{field}_{axis}_m" for axis in "xyz"]
     if field.endswith("_mobility"):
         return [f"{field}_{entry}_1_kg" for entry in ("xx", "xy", "xz", "yy", "yz", "zz")]
     return [name for unit in UNITS if (name := f"{field}{unit}") in SCHEMA.names]

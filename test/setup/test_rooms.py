@@ -42,7 +42,7 @@ IMPORTERS = {
     "dask": {"cli"},
     "distributed": {"cli"},
     "fsspec": {"url"},
-    "pinocchio": {"model", "reference"},
+    "pinocchio": {"model", "reference", "studies"},
     "mcap": {"bags"},
     "rosbags": {"bags"},
     "foxglove": {"nodes"},
