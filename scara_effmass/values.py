@@ -27,6 +27,8 @@ RANGE_TOLERANCE = 1e-3
 """A sample this close to the end of the range, as a share of it, is saturated: the converter's codes end just below."""
 MAX_LOST_SAMPLES = 2**32 - 1
 """Largest value of `ForceBlock.lost_samples`."""
+MAX_VERTICES = 16
+"""Largest number of vertices of the hull of a link: those of ten planes that meet in threes."""
 ZERO_VECTOR: Vector3 = (0.0, 0.0, 0.0)
 NONE_SATURATED: NDArray[np.uint32] = np.empty(0, np.uint32)
 NONE_SATURATED.flags.writeable = False

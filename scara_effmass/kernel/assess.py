@@ -331,6 +331,9 @@ def set_motion(contact: Contact, approach: Approach, choice: Choice, setup: Setu
 def set_place(contact: Contact, approach: Approach, point: Point, work: Work) -> None:
     """Write where the contact counts, in base axes and in the frame of the point or link."""
     assign(contact.position, approach.place)
+    if approach.vertex < 0:
+        assign(contact.position_in_link, ZERO_VECTOR)
+        return
     lever = rotate_back(
         matrix_at(work.rotations, point.joint), sub(approach.place, vector_at(work.places, point.joint))
     )
@@ -338,7 +341,7 @@ def set_place(contact: Contact, approach: Approach, point: Point, work: Work) ->
         (vector_at(point.rotation, 0), vector_at(point.rotation, 1), vector_at(point.rotation, 2)),
         sub(lever, vector(point.place)),
     )
-    assign(contact.position_in_link, in_frame if approach.vertex >= 0 else ZERO_VECTOR)
+    assign(contact.position_in_link, in_frame)
 
 
 @inlined

@@ -76,8 +76,6 @@ def fill_twist_mobility(k: int, joint: int, setup: Setup, work: Work) -> None:
     """Write the mobility B = J M^-1 J^T of the link in model `k`, with the rows of U^-1 J^T."""
     factors, b, rows = work.factors[k], work.twist_mobility[k], work.twists
     clear(b)
-    for i in range(joint + 1):
-        set_spatial(rows, i, ZERO_VECTOR, ZERO_VECTOR)
     fill_twists(joint, setup, work)
     for i in range(joint, -1, -1):
         for j in range(i + 1, joint + 1):
@@ -90,6 +88,8 @@ def fill_twist_mobility(k: int, joint: int, setup: Setup, work: Work) -> None:
 def fill_twists(joint: int, setup: Setup, work: Work) -> None:
     """Write the motion of the link, about the place of its joint, per joint velocity."""
     place, j = vector_at(work.places, joint), joint
+    for i in range(joint + 1):
+        set_spatial(work.twists, i, ZERO_VECTOR, ZERO_VECTOR)
     while j >= 0:
         motion = shift_motion(motion_at(work.axes, j), sub(place, vector_at(work.places, j)))
         set_spatial(work.twists, j, motion.angular, motion.linear)
@@ -101,8 +101,6 @@ def fill_held_twist_mobility(k: int, joint: int, setup: Setup, work: Work) -> No
     """Write the mobility of the link if a controller of its own holds each joint."""
     b = work.twist_mobility[2 + k]
     clear(b)
-    for i in range(joint + 1):
-        set_spatial(work.twists, i, ZERO_VECTOR, ZERO_VECTOR)
     fill_twists(joint, setup, work)
     for i in range(joint + 1):
         add_row(b, motion_at(work.twists, i), 1.0 / work.diagonals[k, i])

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scara_effmass.reference.hull import STEPS
-from scara_effmass.values import ContactAssessment, FloatArray, Mobility6, Vector3
+from scara_effmass.values import MAX_VERTICES, ContactAssessment, FloatArray, Mobility6, Vector3
 
 Vector = Annotated[FloatArray, (3,)]
 ByteArray = NDArray[np.uint8]
@@ -23,8 +23,6 @@ MIN_NORMAL_COMPONENT = 0.1
 """Smallest share of the speed that counts along a fixed normal: its direction is known to about 6 degrees."""
 MAX_JOINTS = 16
 """Largest number of joints; fixed, so that the functions are compiled once for all robots."""
-MAX_VERTICES = 16
-"""Largest number of vertices of the hull of a link."""
 MAX_SUPPORTS = STEPS + 1
 HULL_NONE, HULL_MASS, HULL_KNOWN = 0, 1, 2
 """What a mobility has of a hull: nothing, a mass that is the same everywhere, or the mobility of the link."""

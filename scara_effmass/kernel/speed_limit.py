@@ -137,7 +137,7 @@ def push_bound(case: Case, mobilities: Sequence[Mobility], drives: Drives, setup
     least, factor = NO_BOUND, setup.mass_factor
     for k in range(len(mobilities)):
         m = mobilities[k]
-        if m.hull != HULL_NONE:
+        if m.hull != HULL_NONE and speed > 0.0:
             mu = factor * point_reduced_mass(m, factor * case.obstacle_mobility, 1.0)
             if mu * case.stiffness * speed * speed >= rest:
                 return Bound(-math.inf, 0.0, 0.0, force, 0.0, 0.0)

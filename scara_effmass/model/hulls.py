@@ -20,10 +20,8 @@ from scipy.spatial import ConvexHull
 
 from scara_effmass.errors import RobotError
 from scara_effmass.model.description import numbers_of
-from scara_effmass.values import BoolArray, FloatArray
+from scara_effmass.values import MAX_VERTICES, BoolArray, FloatArray
 
-MAX_VERTICES = 16
-"""Largest number of vertices of a polytope: that of an octagonal prism, or of ten planes that meet in threes."""
 MIN_THICKNESS_M = 1e-4
 """Extent [m] below which points are flat; each is then replaced by a cube with twice this edge."""
 _CORNERS = np.array([(x, y, z) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])

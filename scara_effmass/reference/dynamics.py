@@ -10,7 +10,7 @@ from scara_effmass.codes import ModelCode
 from scara_effmass.errors import RobotError
 from scara_effmass.model.lumping import LumpedModel, lump
 from scara_effmass.model.robot import Robot
-from scara_effmass.reference.hull import skew
+from scara_effmass.reference.hull import point_maps
 from scara_effmass.reference.pose_state import MIN_LEVER_M, NO_VERTICES, ContactPoint, PoseState
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import FloatArray
@@ -83,7 +83,7 @@ def _contact_points(robot: Robot) -> tuple[ContactPoint, ...]:
         for name, frame in robot.contact_frames.items():
             joint = model.frames[frame].parentJoint
             jacobian = np.reshape(pin.getJointJacobian(model, data, joint, pin.ReferenceFrame.LOCAL), (6, model.nv))
-            jacobians[name].append(np.array([jacobian[:3] - skew(r) @ jacobian[3:] for r in places[name]]))
+            jacobians[name].append(point_maps(places[name]) @ jacobian)
     points = []
     for name, frame in robot.contact_frames.items():
         values = np.linalg.svd(np.array(jacobians[name]), compute_uv=False)

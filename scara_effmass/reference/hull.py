@@ -20,6 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -51,22 +52,25 @@ class Hull:
     mobility: FloatArray | None = None
     energy_of_arm: float = math.inf
 
-    @property
-    def velocities(self) -> FloatArray:
-        """Velocities (V, 3) [m/s] of the vertices."""
-        return velocities(self.vertices, self.twist)
+    @cached_property
+    def maps(self) -> FloatArray:
+        """T_i (V, 3, 6) of the vertices."""
+        return point_maps(self.vertices)
 
-    @property
-    def speed_ratio(self) -> float:
-        """Square of the largest speed of a vertex over that of `vertex`."""
-        squares = np.sum(self.velocities**2, axis=1)
-        return max(1.0, float(squares.max() / squares[self.vertex]))
+    @cached_property
+    def squares(self) -> FloatArray:
+        """Squares (V,) of the speeds of the vertices [m2/s2]."""
+        return np.asarray(np.sum((self.maps @ self.twist) ** 2, axis=1))
 
     @property
     def square(self) -> float:
         """Square of the speed of `vertex` [m2/s2]."""
-        velocity = self.velocities[self.vertex]
-        return float(velocity @ velocity)
+        return float(self.squares[self.vertex])
+
+    @property
+    def speed_ratio(self) -> float:
+        """Square of the largest speed of a vertex over that of `vertex`."""
+        return max(1.0, float(self.squares.max()) / self.square)
 
     def with_masses(self, factor: float) -> Hull:
         """Return the hull of a robot whose masses are `factor` times as large."""
@@ -76,16 +80,16 @@ class Hull:
 
     def energy(self, s: float, person_speed: float = 0.0) -> float:
         """Return a bound of v^T (s 1 + A)^-1 v [kg m2/s2] of every point, `s` above 0 [1/kg]."""
-        mobility, twist = np.asarray(self.mobility), self.twist
-        maps = np.array([np.hstack([np.eye(3), -skew(r)]) for r in self.vertices])  # T_i
+        mobility, twist, maps = np.asarray(self.mobility), self.twist, self.maps
 
         def evaluate(support: list[int], weights: FloatArray) -> tuple[FloatArray, float]:
             """Return the squares of the speeds |T_i x| and the bound that they prove."""
-            t_w = np.vstack([math.sqrt(w) * maps[i] for i, w in zip(support, weights, strict=True)])
+            t_w = (np.sqrt(weights)[:, None, None] * maps[support]).reshape(-1, 6)
             h = t_w.T @ np.linalg.solve(s * np.eye(len(t_w)) + t_w @ mobility @ t_w.T, t_w @ twist)
-            squares = np.sum(velocities(self.vertices, twist - mobility @ h) ** 2, axis=1)
+            given = mobility @ h
+            squares = np.sum((maps @ (twist - given)) ** 2, axis=1)
             speed = math.sqrt(squares.max()) + person_speed
-            return squares, float(h @ mobility @ h) + speed * speed / s
+            return squares, float(h @ given) + speed * speed / s
 
         support, weights = [self.vertex], np.ones(1)
         squares, bound = evaluate(support, weights)
@@ -130,12 +134,10 @@ def farthest(values: FloatArray) -> int:
     return index
 
 
-def velocities(vertices: FloatArray, twist: FloatArray) -> FloatArray:
-    """Return the velocities (V, 3) of points of a body whose `twist` (6,) is linear, then angular."""
-    return np.asarray(twist[:3] + np.cross(twist[3:], vertices))
-
-
-def skew(r: FloatArray) -> FloatArray:
-    """Return the matrix (3, 3) of r x."""
-    x, y, z = r.tolist()
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+def point_maps(points: FloatArray) -> FloatArray:
+    """Return T = [1, -skew(r)] (V, 3, 6) of points r (V, 3): the velocity of each is T times the twist."""
+    maps = np.zeros((len(points), 3, 6))
+    maps[:, :, :3] = np.eye(3)
+    maps[:, [0, 1, 2], [4, 5, 3]] = points[:, [2, 0, 1]]
+    maps[:, [0, 1, 2], [5, 3, 4]] = -points[:, [1, 2, 0]]
+    return maps

@@ -20,7 +20,7 @@ import numpy as np
 import pinocchio as pin
 
 from scara_effmass.codes import ModelCode, NoLumpedMass
-from scara_effmass.reference.hull import Hull, farthest, skew, velocities
+from scara_effmass.reference.hull import Hull, farthest, point_maps
 from scara_effmass.reference.mobility import Mobility, PoseChange, effective_mass, is_definite, worst_mass
 from scara_effmass.values import FloatArray, Vector3
 
@@ -94,12 +94,15 @@ class ContactState:
         self.twist: FloatArray = self.link_jacobian @ state.qd
         pose = data.oMi[joint]
         self.vertices: FloatArray = point.vertices @ pose.rotation.T
-        speeds = np.sum(velocities(self.vertices, self.twist) ** 2, axis=1)
-        self.vertex = farthest(speeds) if vertex is None and len(speeds) else vertex
+        self.maps = point_maps(self.vertices)
+        self.vertex = vertex
+        if vertex is None and len(self.vertices):
+            self.vertex = farthest(np.sum((self.maps @ self.twist) ** 2, axis=1))
         lever = pose.rotation @ frame.placement.translation if self.vertex is None else self.vertices[self.vertex]
-        turn, spin = skew(lever), skew(np.cross(self.twist[3:], lever))
-        self.jacobian: FloatArray = self.link_jacobian[:3] - turn @ self.link_jacobian[3:]
-        self.jacobian_rate: FloatArray = link_rate[:3] - turn @ link_rate[3:] - spin @ self.link_jacobian[3:]
+        (to_point,) = point_maps(lever[None])
+        self.jacobian: FloatArray = to_point @ self.link_jacobian
+        spin = pin.skew(np.cross(self.twist[3:], lever))
+        self.jacobian_rate: FloatArray = to_point @ link_rate - spin @ self.link_jacobian[3:]
         self.is_moved_by = np.any(self.link_jacobian, axis=0)
         self.velocity: FloatArray = self.jacobian @ state.qd
         """v = J_v qd [m/s] (Eq. 1)."""
@@ -114,22 +117,18 @@ class ContactState:
 
         Up to the speed `threshold` [m/s] a vertex is at rest. That only says where the contact counts.
         """
-        if self.vertex is None:
-            return self
-        found = [ContactState(self.state, self.point, i) for i in range(len(self.vertices))]
         code = next((code for code in (ModelCode.FULL, ModelCode.LUMPED) if code in self.state.mass_matrix), None)
-        if code is None:
+        if self.vertex is None or code is None:
             return self
+        jacobians = self.maps @ self.link_jacobian
+        mobilities = jacobians @ self.state.inverse_mass_matrix[code] @ jacobians.transpose(0, 2, 1)
         if self.speed < threshold:
-            return found[farthest(np.array([worst_mass(c.mobility_in(code), c.rank) for c in found]))]
-        eye = s * np.eye(3)
-        values = [float(c.velocity @ np.linalg.solve(eye + c.mobility_in(code), c.velocity)) for c in found]
-        worst = found[farthest(np.array(values))]
-        return worst if worst.speed >= threshold else self
-
-    def mobility_in(self, model: ModelCode) -> FloatArray:
-        """Return A = J_v M^-1 J_v^T [1/kg] (Eqs. 3-4) in a mass model, definite or not."""
-        return np.asarray(self.jacobian @ self.state.inverse_mass_matrix[model] @ self.jacobian.T)
+            values = np.array([worst_mass(mobility, self.rank) for mobility in mobilities])
+        else:
+            v = jacobians @ self.state.qd
+            values = np.sum(v * np.linalg.solve(s * np.eye(3) + mobilities, v[..., None])[..., 0], axis=1)
+        worst = ContactState(self.state, self.point, farthest(values))
+        return self if worst.speed < threshold <= self.speed else worst
 
     def hull(self, mass_matrix: FloatArray | None) -> Hull | None:
         """Return the hull of a link with these masses (n, n), None for one mass everywhere; None for a point."""
@@ -164,8 +163,8 @@ class ContactState:
     @cached_property
     def mobilities(self) -> dict[ModelCode, FloatArray]:
         """A = J_v M^-1 J_v^T [1/kg] (Eqs. 3-4) of each model that has one at this pose."""
-        lumped = self.state.dynamics.lumped
-        mobilities = {name: self.mobility_in(name) for name in self.state.inverse_mass_matrix}
+        inverses, lumped = self.state.inverse_mass_matrix, self.state.dynamics.lumped
+        mobilities = {name: self.jacobian @ inverse @ self.jacobian.T for name, inverse in inverses.items()}
         # The lumped mass matrix of parallel axes is definite by its form, others can lose that at a pose.
         if lumped is not None and not lumped.is_regular and not is_definite(mobilities[ModelCode.LUMPED], self.rank):
             del mobilities[ModelCode.LUMPED]

@@ -18,6 +18,7 @@ from scara_effmass.model.hulls import package_folders
 from scara_effmass.model.load import load_robot
 from scara_effmass.model.robot import Robot
 from scara_effmass.reference import RobotDynamics
+from scara_effmass.reference.hull import point_maps
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import WHOLE_ARM, MonitorSettings, ServoSettings
 from scara_effmass.studies.bounds import MonitoredArm, settings_for
@@ -119,10 +120,7 @@ def tightness(path: Path, settings: MonitorSettings, count: int, seed: int) -> d
 
 def largest_energy(points: FloatArray, twist: FloatArray, mobility: FloatArray, s: float) -> float:
     """Return the largest v^T (s 1 + A)^-1 v of the points (N, 3) of a link, by the adjugate."""
-    maps = np.zeros((len(points), 3, 6))
-    maps[:, [0, 1, 2], [0, 1, 2]] = 1.0
-    maps[:, [0, 1, 2], [4, 5, 3]] = points[:, [2, 0, 1]]
-    maps[:, [0, 1, 2], [5, 3, 4]] = -points[:, [1, 2, 0]]
+    maps = point_maps(points)
     v = maps @ twist
     a, b, c = np.moveaxis(maps @ mobility @ maps.transpose(0, 2, 1) + s * np.eye(3), 1, 0)
     adjugate = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=2)

@@ -15,7 +15,6 @@ from scipy.spatial import ConvexHull
 
 from scara_effmass.errors import RobotError
 from scara_effmass.model.hulls import (
-    MAX_VERTICES,
     MIN_THICKNESS_M,
     LinkHull,
     outer_vertices,
@@ -25,7 +24,7 @@ from scara_effmass.model.hulls import (
 )
 from scara_effmass.model.urdf import parse_urdf, read_urdf
 from scara_effmass.settings import MonitorSettings
-from scara_effmass.values import FloatArray
+from scara_effmass.values import MAX_VERTICES, FloatArray
 
 CUBE = np.array([(x, y, z) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
 TURN = pin.rpy.rpyToMatrix(0.4, -0.9, 2.0)

@@ -2,11 +2,12 @@
 """Contact anywhere on a link: the bound over a hull against every point in it, and against what it is for one point."""
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scara_effmass.reference.hull import Hull, skew
+from scara_effmass.reference.hull import Hull
 from scara_effmass.values import FloatArray
 
 MASSES = st.sampled_from([0.6, 4.4, 40.0, 1e6])
@@ -25,7 +26,7 @@ def link(seed: int, joints: int, vertices: int) -> Hull:
 
 def point_energy(hull: Hull, r: FloatArray, s: float) -> float:
     """Return v^T (s 1 + A)^-1 v at one point."""
-    t = np.hstack([np.eye(3), -skew(r)])
+    t = np.hstack([np.eye(3), -pin.skew(r)])
     v = t @ hull.twist
     return float(v @ np.linalg.solve(s * np.eye(3) + t @ np.asarray(hull.mobility) @ t.T, v))
 
@@ -58,7 +59,7 @@ def test_a_person_in_any_direction_is_within_the_bound(seed: int, joints: int, v
     rng, s = np.random.default_rng(seed), 0.2
     bound = hull.energy(s, speed)
     for r in [*hull.vertices, *(rng.dirichlet(np.ones(vertices), 20) @ hull.vertices)]:
-        t = np.hstack([np.eye(3), -skew(r)])
+        t = np.hstack([np.eye(3), -pin.skew(r)])
         matrix = np.linalg.inv(s * np.eye(3) + t @ np.asarray(hull.mobility) @ t.T)
         directions = rng.normal(size=(50, 3))
         closing = t @ hull.twist + speed * directions / np.linalg.norm(directions, axis=1, keepdims=True)

@@ -2,9 +2,9 @@
 """The study of whole links: its dense maximum against one point at a time, and simulated impacts below the limit."""
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
-from scara_effmass.reference.hull import skew
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
 from scara_effmass.studies.links import impacts, largest_energy
@@ -15,7 +15,7 @@ def test_largest_energy_is_that_of_one_of_the_points() -> None:
     root, points, twist = rng.normal(size=(6, 6)), rng.normal(size=(40, 3)), rng.normal(size=6)
     mobility, values = root @ root.T, []
     for r in points:
-        t = np.hstack([np.eye(3), -skew(r)])
+        t = np.hstack([np.eye(3), -pin.skew(r)])
         v = t @ twist
         values.append(float(v @ np.linalg.solve(0.2 * np.eye(3) + t @ mobility @ t.T, v)))
     assert largest_energy(points, twist, mobility, 0.2) == pytest.approx(max(values), rel=1e-12)
