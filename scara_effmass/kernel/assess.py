@@ -215,7 +215,7 @@ def fill_limits(
     mu = mass if case.body_mass == math.inf else 1.0 / (1.0 / mass + 1.0 / case.body_mass)
     worst_mu = 0.0
     for k in range(models):
-        worst_mu = max(worst_mu, worst_reduced_mass(work.any_normal[k], 1.0 / case.body_mass, 1.0, 0.0))
+        worst_mu = max(worst_mu, worst_reduced_mass(work.any_normal[k], 1.0 / case.body_mass, 1.0, worst_mu))
     contact.effective_mass, contact.mass_capped = min(mass, cap), 1.0 if mass > cap else 0.0
     contact.worst_direction_mass = min(cap, worst)
     contact.body_mass = 0.0 if case.body_mass == math.inf else case.body_mass

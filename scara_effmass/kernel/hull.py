@@ -7,6 +7,7 @@ Twists, the mobility B of the link and the vertices are about the place of the j
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from scara_effmass.kernel.codes import Model
 from scara_effmass.kernel.contact_point import Approach
@@ -19,31 +20,46 @@ from scara_effmass.kernel.mobility import (
     shifted,
     smallest_eigenvalue,
 )
+from scara_effmass.kernel.pose_change import assign_symmetric
 from scara_effmass.kernel.records import HULL_KNOWN, HULL_MASS, HULL_NONE, Mobility, Point, Setup, Work
 from scara_effmass.kernel.spatial import (
     Force,
     Motion,
     add,
+    add_symmetric,
     cross,
     dot,
     matrix_at,
     motion_at,
     power,
     rotate,
+    rotate_back,
     scale,
+    scale_symmetric,
     set_spatial,
     set_vector,
     shift_motion,
     sub,
+    symmetric_at,
     symmetric_product,
     vector_at,
 )
 from scara_effmass.reference import hull as reference
-from scara_effmass.reference.hull import FIRST_TRIAL, STEPS, TIE
+from scara_effmass.reference.hull import FIRST_TRIAL, MAX_GAP, STEPS, TIE
 from scara_effmass.reference.mobility import CLAMPED_TOLERANCE
 from scara_effmass.values import ZERO_VECTOR, FloatArray, Mobility6, Vector3
 
+scaled_energy = inlined(reference.scaled_energy)
 second_trial = inlined(reference.second_trial)
+
+
+class Certificate(NamedTuple):
+    """Motion that bounds the energy [J] of a hull, its fastest vertex, and what its square exceeds the mean by."""
+
+    motion: Motion
+    vertex: int
+    excess: float
+    bound: float
 
 
 @inlined
@@ -124,11 +140,19 @@ def force_on(b: FloatArray, f: Force) -> Motion:
 @inlined
 def mobility_at(b: FloatArray, lever: Vector3) -> Mobility6:
     """Return the mobility A = T B T^T [1/kg] of the point at `lever`."""
-    x = force_on(b, Force(cross(lever, (1.0, 0.0, 0.0)), (1.0, 0.0, 0.0)))
-    y = force_on(b, Force(cross(lever, (0.0, 1.0, 0.0)), (0.0, 1.0, 0.0)))
-    z = force_on(b, Force(cross(lever, (0.0, 0.0, 1.0)), (0.0, 0.0, 1.0)))
-    a, c, e = shift_motion(x, lever).linear, shift_motion(y, lever).linear, shift_motion(z, lever).linear
-    return a[0], a[1], a[2], c[1], c[2], e[2]
+    x, y, z = lever
+    p, q, r = vector_at(b, 0), vector_at(b, 1), vector_at(b, 2)
+    f = cross(lever, add(vector_at(b, 3), scale(0.5, sub(scale(z, q), scale(y, r)))))
+    g = cross(lever, add(vector_at(b, 4), scale(0.5, sub(scale(x, r), scale(z, p)))))
+    h = cross(lever, add(vector_at(b, 5), scale(0.5, sub(scale(y, p), scale(x, q)))))
+    return (
+        b[3, 3] - 2.0 * f[0],
+        b[3, 4] - f[1] - g[0],
+        b[3, 5] - f[2] - h[0],
+        b[4, 4] - 2.0 * g[1],
+        b[4, 5] - g[2] - h[1],
+        b[5, 5] - 2.0 * h[2],
+    )
 
 
 @inlined
@@ -198,7 +222,8 @@ def place_on_link(point: Point, setup: Setup, work: Work) -> int:
             if setup.joints_are_held:
                 fill_held_twist_mobility(k, point.joint, setup, work)
     threshold = setup.speed_threshold * setup.speed_threshold
-    is_moving = fastest_square(point, work) >= threshold
+    work.fastest_square = fastest_square(point, work)
+    is_moving = work.fastest_square >= threshold
     vertex = worst_vertex(first, setup.hull_mobility, is_moving, point, work)
     twist = motion_at(work.velocities, point.joint)
     if is_moving and square_at(twist, vector_at(work.vertices, vertex)) < threshold:
@@ -215,7 +240,7 @@ def set_hull(out: Mobility, kind: int, k: int, approach: Approach, point: Point,
     twist = motion_at(work.velocities, point.joint)
     square = approach.speed * approach.speed
     out.hull, out.vertex_count, out.vertex, out.square = kind, point.vertex_count, approach.vertex, square
-    out.speed_ratio = max(1.0, fastest_square(point, work) / square)
+    out.speed_ratio = max(1.0, work.fastest_square / square)
     if kind == HULL_KNOWN:
         out.energy_of_arm = work.energies[k]
         set_spatial(out.twist, 0, twist.angular, twist.linear)
@@ -246,50 +271,85 @@ def farthest(m: Mobility, x: Motion) -> int:
 
 @inlined
 def add_support(m: Mobility, vertex: int, count: int) -> None:
-    """Make `vertex` the support `count` of the weights, with its blocks T_i B T_j^T in the other ones."""
+    """Make `vertex` the support `count` of the weights, with its blocks T_i B T_j^T of the other ones."""
     m.support[count] = vertex
     lever = vector_at(m.vertices, vertex)
     for axis in range(3):
         e = (1.0 if axis == 0 else 0.0), (1.0 if axis == 1 else 0.0), (1.0 if axis == 2 else 0.0)
         moved = force_on(m.twist_mobility, Force(cross(lever, e), e))
         for j in range(count + 1):
-            v = shift_motion(moved, vector_at(m.vertices, m.support[j])).linear
-            for other in range(3):
-                m.blocks[3 * j + other, 3 * count + axis] = m.blocks[3 * count + axis, 3 * j + other] = v[other]
+            set_vector(m.blocks[count, j], axis, shift_motion(moved, vector_at(m.vertices, m.support[j])).linear)
+
+
+@inlined
+def factorized(m: Mobility6, least: float) -> Mobility6:
+    """Return Cholesky's factor L, its columns one after the other and its diagonal inverted; pivots are `least` ones.
+
+    Rounding must not make them smaller than they can be.
+    """
+    a = 1.0 / math.sqrt(max(m[0], least))
+    b, c = m[1] * a, m[2] * a
+    d = 1.0 / math.sqrt(max(m[3] - b * b, least))
+    e = (m[4] - b * c) * d
+    return a, b, c, d, e, 1.0 / math.sqrt(max(m[5] - c * c - e * e, least))
+
+
+@inlined
+def forward(factor: Mobility6, a: Vector3) -> Vector3:
+    """Return L^-1 a."""
+    x = a[0] * factor[0]
+    y = (a[1] - factor[1] * x) * factor[3]
+    return x, y, (a[2] - factor[2] * x - factor[4] * y) * factor[5]
+
+
+@inlined
+def backward(factor: Mobility6, a: Vector3) -> Vector3:
+    """Return L^-T a."""
+    z = a[2] * factor[5]
+    y = (a[1] - factor[4] * z) * factor[3]
+    return (a[0] - factor[1] * y - factor[2] * z) * factor[0], y, z
+
+
+@inlined
+def fill_factor(m: Mobility, s: float, i: int) -> None:
+    """Write block row `i` of Cholesky's factor of s / w + T B T^T, and of its product with the forces."""
+    least = s / m.weights[i]
+    rest = shift_motion(motion_at(m.twist, 0), vector_at(m.vertices, m.support[i])).linear
+    x, y, z = matrix_at(m.blocks[i], i)
+    pivot = x[0] + least, x[1], x[2], y[1] + least, y[2], z[2] + least
+    for j in range(i):
+        factor = symmetric_at(m.pivots, j)
+        for axis in range(3):
+            row = vector_at(m.blocks[i, j], axis)
+            for k in range(j):
+                row = sub(row, rotate(matrix_at(m.system[j], k), vector_at(m.system[i, k], axis)))
+            set_vector(m.system[i, j], axis, forward(factor, row))
+        x, y, z = matrix_at(m.system[i], j)
+        squares = dot(x, x), dot(x, y), dot(x, z), dot(y, y), dot(y, z), dot(z, z)
+        pivot = add_symmetric(pivot, scale_symmetric(-1.0, squares))
+        rest = sub(rest, rotate((x, y, z), vector_at(m.forces, j)))
+    factor = factorized(pivot, least)
+    assign_symmetric(m.pivots[i], factor)
+    set_vector(m.forces, i, forward(factor, rest))
 
 
 @inlined
 def motion_after(m: Mobility, s: float, count: int) -> tuple[Motion, float]:
     """Return the motion x of the link after contacts of masses w_i / s at the first `count` supports, and its energy.
 
-    (s 1 + T_w B T_w^T) u = T_w d by Cholesky's method, whose pivots are at least s; h = T_w^T u, x = d - B h.
+    The forces f on them follow from (s / w + T B T^T) f = T d by Cholesky's method; h = T^T f, x = d - B h.
     """
-    twist, size, a, u, roots = motion_at(m.twist, 0), 3 * count, m.system, m.forces, m.roots
+    twist, h = motion_at(m.twist, 0), Force(ZERO_VECTOR, ZERO_VECTOR)
     for i in range(count):
-        roots[i] = math.sqrt(m.weights[i])
-        v = shift_motion(twist, vector_at(m.vertices, m.support[i])).linear
-        for axis in range(3):
-            u[3 * i + axis] = roots[i] * v[axis]
-    for i in range(size):
-        for j in range(i + 1):
-            total = roots[i // 3] * roots[j // 3] * m.blocks[i, j]
-            for k in range(j):
-                total -= a[i, k] * a[j, k]
-            # The diagonal holds the inverse of the pivot.
-            a[i, j] = 1.0 / math.sqrt(max(total + s, s)) if i == j else total * a[j, j]
-        for k in range(i):
-            u[i] -= a[i, k] * u[k]
-        u[i] *= a[i, i]
-    angular, linear = ZERO_VECTOR, ZERO_VECTOR
-    for i in range(size - 1, -1, -1):
-        for k in range(i + 1, size):
-            u[i] -= a[k, i] * u[k]
-        u[i] *= a[i, i]
-    for i in range(count):
-        force = scale(roots[i], (u[3 * i], u[3 * i + 1], u[3 * i + 2]))
-        angular = add(angular, cross(vector_at(m.vertices, m.support[i]), force))
-        linear = add(linear, force)
-    h = Force(angular, linear)
+        fill_factor(m, s, i)
+    for i in range(count - 1, -1, -1):
+        rest = vector_at(m.forces, i)
+        for j in range(i + 1, count):
+            rest = sub(rest, rotate_back(matrix_at(m.system[j], i), vector_at(m.forces, j)))
+        force = backward(symmetric_at(m.pivots, i), rest)
+        set_vector(m.forces, i, force)
+        lever = vector_at(m.vertices, m.support[i])
+        h = Force(add(h.angular, cross(lever, force)), add(h.linear, force))
     given = force_on(m.twist_mobility, h)
     return Motion(sub(twist.angular, given.angular), sub(twist.linear, given.linear)), power(given, h)
 
@@ -304,10 +364,13 @@ def mean_square(m: Mobility, x: Motion, weights: FloatArray, count: int) -> floa
 
 
 @inlined
-def energy_bound(m: Mobility, s: float, x: Motion, energy: float, person_speed: float) -> float:
-    """Return the bound of the energy that the motion `x` proves for the whole hull."""
-    speed = math.sqrt(square_at(x, vector_at(m.vertices, farthest(m, x)))) + person_speed
-    return energy + speed * speed / s
+def certificate(m: Mobility, s: float, count: int, person_speed: float) -> Certificate:
+    """Return the bound of the energy of the whole hull by the weights of `count` supports."""
+    x, energy = motion_after(m, s, count)
+    vertex = farthest(m, x)
+    square = square_at(x, vector_at(m.vertices, vertex))
+    speed = math.sqrt(square) + person_speed
+    return Certificate(x, vertex, square - mean_square(m, x, m.weights, count), energy + speed * speed / s)
 
 
 @inlined
@@ -316,30 +379,29 @@ def hull_energy(m: Mobility, s: float, person_speed: float, enough: float) -> fl
 
     Frank-Wolfe steps on the weights of the vertices, until the bound is at most `enough`.
     """
-    least = m.energy_of_arm + person_speed * person_speed / s
+    least = scaled_energy(m.energy_of_arm, s, math.sqrt(m.square * m.speed_ratio), person_speed)
     if least <= enough:
         return least
     add_support(m, m.vertex, 0)
     m.weights[0] = 1.0
-    x, energy = motion_after(m, s, 1)
-    least = min(least, energy_bound(m, s, x, energy, person_speed))
+    found = certificate(m, s, 1, person_speed)
+    least = min(least, found.bound)
     for count in range(1, STEPS + 1):
-        vertex = farthest(m, x)
-        lever, mean = vector_at(m.vertices, vertex), mean_square(m, x, m.weights, count)
-        slope = square_at(x, lever) - mean
-        if least <= enough or not slope > TIE * mean:
+        if least <= enough or not found.excess > MAX_GAP * s * least:
             break
-        add_support(m, vertex, count)
+        slope, lever, t = found.excess, vector_at(m.vertices, found.vertex), FIRST_TRIAL
+        add_support(m, found.vertex, count)
         for i in range(count):
             m.starts[i] = m.weights[i]
-        t = FIRST_TRIAL
         for _ in range(2):
             for i in range(count):
                 m.weights[i] = (1.0 - t) * m.starts[i]
             m.weights[count] = t
-            x, energy = motion_after(m, s, count + 1)
-            least = min(least, energy_bound(m, s, x, energy, person_speed))
-            t = second_trial(slope, square_at(x, lever) - mean_square(m, x, m.starts, count))
+            found = certificate(m, s, count + 1, person_speed)
+            least = min(least, found.bound)
+            if least <= enough or not found.excess > MAX_GAP * s * least:
+                break
+            t = second_trial(slope, square_at(found.motion, lever) - mean_square(m, found.motion, m.starts, count))
     return least
 
 
@@ -364,11 +426,11 @@ def worst_reduced_mass(m: Mobility, alpha: float, beta: float, enough: float) ->
 
 
 @inlined
-def person_ratio(m: Mobility, alpha: float, beta: float, person_speed: float) -> float:
+def person_ratio(m: Mobility, alpha: float, beta: float, person_speed: float, enough: float) -> float:
     """Return a bound of the force anywhere on a link over that at its vertex, for a person in any direction.
 
     It holds at the present speed; the force at the vertex counts as if the person came along its velocity. Against a
-    clamped body part, it is that of a person at rest.
+    clamped body part, it is that of a person at rest. It may be larger than need be, unless it is above `enough`.
     """
     if m.hull == HULL_NONE:
         return 1.0
@@ -378,4 +440,4 @@ def person_ratio(m: Mobility, alpha: float, beta: float, person_speed: float) ->
         return (speed * math.sqrt(m.speed_ratio) + person_speed) / (speed + person_speed)
     s = max(alpha / beta, CLAMPED_TOLERANCE * m.matrix_trace)
     at_vertex_energy = point_reduced_mass(m, s, 1.0) * (speed + person_speed) ** 2
-    return math.sqrt(max(1.0, hull_energy(m, s, person_speed, 0.0) / at_vertex_energy))
+    return math.sqrt(max(1.0, hull_energy(m, s, person_speed, enough * enough * at_vertex_energy) / at_vertex_energy))

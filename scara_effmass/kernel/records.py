@@ -181,10 +181,10 @@ class Mobility:
     support: Annotated[IntArray, (MAX_SUPPORTS,)]
     weights: Annotated[FloatArray, (MAX_SUPPORTS,)]
     starts: Annotated[FloatArray, (MAX_SUPPORTS,)]
-    roots: Annotated[FloatArray, (MAX_SUPPORTS,)]
-    blocks: Annotated[FloatArray, (3 * MAX_SUPPORTS, 3 * MAX_SUPPORTS)]
-    system: Annotated[FloatArray, (3 * MAX_SUPPORTS, 3 * MAX_SUPPORTS)]
-    forces: Annotated[FloatArray, (3 * MAX_SUPPORTS,)]
+    blocks: Annotated[FloatArray, (MAX_SUPPORTS, MAX_SUPPORTS, 3, 3)]
+    system: Annotated[FloatArray, (MAX_SUPPORTS, MAX_SUPPORTS, 3, 3)]
+    pivots: Annotated[FloatArray, (MAX_SUPPORTS, 6)]
+    forces: Annotated[FloatArray, (MAX_SUPPORTS, 3)]
 
 
 @dataclass
@@ -222,7 +222,8 @@ class Work:
     """Intermediate results of one joint state, of both models where the first dimension is 2.
 
     `jacobian`, its rate, and what M makes of it have one row per joint, up to that of the contact point. `twists`,
-    `twist_mobility` and `energies` (both models, free and held) are of the link that is assessed as a whole.
+    `twist_mobility`, `energies` (both models, free and held) and the `fastest_square` of the speeds of its vertices are
+    of the link that is assessed as a whole.
     """
 
     qd: PerJoint
@@ -249,6 +250,7 @@ class Work:
     twist_mobility: Annotated[FloatArray, (4, 6, 6)]
     energies: Annotated[FloatArray, (4,)]
     vertices: Annotated[FloatArray, (MAX_VERTICES, 3)]
+    fastest_square: float
     responses: Columns3
     masses: Vector
     worst: Vector

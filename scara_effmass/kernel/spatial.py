@@ -167,6 +167,18 @@ def add_symmetric(s: Mobility6, t: Mobility6) -> Mobility6:
 
 
 @inlined
+def scale_symmetric(factor: float, s: Mobility6) -> Mobility6:
+    """Return a multiple of S."""
+    return factor * s[0], factor * s[1], factor * s[2], factor * s[3], factor * s[4], factor * s[5]
+
+
+@inlined
+def symmetric_at(array: FloatArray, i: int) -> Mobility6:
+    """Return row `i` of an array (n, 6)."""
+    return array[i, 0], array[i, 1], array[i, 2], array[i, 3], array[i, 4], array[i, 5]
+
+
+@inlined
 def symmetric_outer(a: Vector3, b: Vector3) -> Mobility6:
     """Return a b^T, which must be symmetric: `b` is a multiple of `a`."""
     return a[0] * b[0], a[0] * b[1], a[0] * b[2], a[1] * b[1], a[1] * b[2], a[2] * b[2]

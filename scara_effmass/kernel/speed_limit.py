@@ -47,6 +47,24 @@ NO_BOUND = Bound(math.inf, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @inlined
+def lasting_growth(case: Case, m: Mobility, mass_factor: float, line: tuple[float, float], mu: float) -> float:
+    """Return the growth [s/m] of the energy until the peak of a contact with the reduced mass `mu`."""
+    if m.change_rank == 0:
+        return 0.0
+    time = case.drive_time if case.drive_time > 0.0 else contact_time(mu, case.stiffness)
+    return 0.5 * time * growth(m, mass_factor * line[0], line[1]) / m.speed
+
+
+@inlined
+def speed_gain(
+    case: Case, m: Mobility, mass_factor: float, line: tuple[float, float], at_point: float, mu: float
+) -> float:
+    """Return the gain of speed [m/s] until the peak of a contact with the mass `mu`, `at_point` that of a point."""
+    time = case.drive_time if case.drive_time > 0.0 else contact_time(mu, case.stiffness)
+    return gain(m, mass_factor, at_point, line[0], line[1], acceleration_time(case, time))
+
+
+@inlined
 def bound_of(
     case: Case,
     m: Mobility,
@@ -55,25 +73,28 @@ def bound_of(
     line: tuple[float, float],
     rate: float,
     accelerates: bool,  # noqa: FBT001 - compiled
-    speed: float,
+    least: float,
 ) -> Bound:
     """Return the bound of v^T (alpha 1 + beta A)^-1 v, whose reduced mass is known `at_point`.
 
-    Of a link, it bounds nothing if it allows `speed` [m/s] anyway.
+    Of a link, it bounds nothing if it allows the speed `least` [m/s] anyway.
     """
-    alpha, beta = line
     growing, gained, mu = 0.0, 0.0, at_point
-    if m.hull != HULL_NONE:
-        enough = 1.0 / (rate * speed * speed) if speed > 0.0 else 0.0
-        mu = mass_factor * worst_reduced_mass(m, mass_factor * alpha, beta, enough / mass_factor)
+    if m.hull != HULL_NONE and mu < math.inf:
+        enough = 0.0
+        if 0.0 < least < math.inf:
+            most = 1.0 / (rate * least * least)
+            faster = least * (1.0 + lasting_growth(case, m, mass_factor, line, most) * least)
+            if accelerates:
+                faster += speed_gain(case, m, mass_factor, line, at_point, most)
+            enough = 1.0 / (rate * faster * faster)
+        mu = mass_factor * worst_reduced_mass(m, mass_factor * line[0], line[1], enough / mass_factor)
         if mu <= enough:
             return NO_BOUND
     if mu < math.inf:
-        time = case.drive_time if case.drive_time > 0.0 else contact_time(mu, case.stiffness)
         if accelerates:
-            gained = gain(m, mass_factor, at_point, alpha, beta, acceleration_time(case, time))
-        if m.change_rank > 0:
-            growing = 0.5 * time * growth(m, mass_factor * alpha, beta) / m.speed
+            gained = speed_gain(case, m, mass_factor, line, at_point, mu)
+        growing = lasting_growth(case, m, mass_factor, line, mu)
     inverse_square = mu * rate
     if inverse_square <= 0.0:
         return Bound(math.inf, mu, growing, 0.0, 0.0, gained)
@@ -86,34 +107,34 @@ def bound_of(
 
 
 @inlined
-def immovable_bound(case: Case, m: Mobility, mass_factor: float, rate: float, speed: float) -> Bound:
+def immovable_bound(case: Case, m: Mobility, mass_factor: float, rate: float, least: float) -> Bound:
     """Return the bound if the drives do not give way."""
     mu = mass_factor * point_reduced_mass(m, mass_factor * case.obstacle_mobility, 0.0)
-    return bound_of(case, m, mass_factor, mu, (case.obstacle_mobility, 0.0), rate, True, speed)  # noqa: FBT003 - compiled
+    return bound_of(case, m, mass_factor, mu, (case.obstacle_mobility, 0.0), rate, True, least)  # noqa: FBT003 - compiled
 
 
 @inlined
-def free_bound(case: Case, m: Mobility, mass_factor: float, rate: float) -> Bound:
+def free_bound(case: Case, m: Mobility, mass_factor: float, rate: float, least: float) -> Bound:
     """Return the bound of free joints; the push of the drives contains what accelerates them."""
     mu = mass_factor * point_reduced_mass(m, mass_factor * case.obstacle_mobility, 1.0)
-    return bound_of(case, m, mass_factor, mu, (case.obstacle_mobility, 1.0), rate, False, 0.0)  # noqa: FBT003 - compiled
+    return bound_of(case, m, mass_factor, mu, (case.obstacle_mobility, 1.0), rate, False, least)  # noqa: FBT003 - compiled
 
 
 @inlined
-def case_bound(case: Case, m: Mobility, mass_factor: float, rate: float, speed: float) -> Bound:
+def case_bound(case: Case, m: Mobility, mass_factor: float, rate: float, least: float) -> Bound:
     """Return the bound of the drives of the settings, of simulated contacts within the range of their simulation.
 
-    Of a link, it bounds nothing if it allows `speed` [m/s] anyway.
+    Of a link, it bounds nothing if it allows the speed `least` [m/s] anyway.
     """
     if case.line_count > 1 and not m.matrix_trace <= MAX_MOBILITY * mass_factor:
-        return immovable_bound(case, m, mass_factor, rate, speed)
+        return immovable_bound(case, m, mass_factor, rate, least)
     mu, alpha, beta = math.inf, 0.0, 0.0
     for i in range(case.line_count):
         line_alpha, line_beta = case.lines[i, 0], case.lines[i, 1]
         line_mu = mass_factor * point_reduced_mass(m, mass_factor * line_alpha, line_beta)
         if line_mu < mu:
             mu, alpha, beta = line_mu, line_alpha, line_beta
-    return bound_of(case, m, mass_factor, mu, (alpha, beta), rate, True, speed)  # noqa: FBT003 - compiled
+    return bound_of(case, m, mass_factor, mu, (alpha, beta), rate, True, least)  # noqa: FBT003 - compiled
 
 
 @inlined
@@ -125,26 +146,29 @@ def push_force(case: Case, drives: Drives, setup: Setup) -> float:
 
 
 @inlined
-def push_bound(case: Case, mobilities: Sequence[Mobility], drives: Drives, setup: Setup, speed: float) -> Bound:
+def push_bound(
+    case: Case, mobilities: Sequence[Mobility], drives: Drives, setup: Setup, speed: float, least: float
+) -> Bound:
     """Return the bound of free joints and the push of the drives; an infinite push bounds nothing.
 
-    Of a link, it bounds nothing where one of its points shows that it does not allow more than `speed` [m/s].
+    Of a link, it bounds nothing where one of its points shows that it does not allow more than `speed` [m/s], or where
+    it allows the speed `least` [m/s] anyway.
     """
     force = push_force(case, drives, setup)
     rest = case.force * (case.force - 2.0 * force)
     if rest <= 0.0:
         return Bound(0.0 if force < math.inf else -math.inf, 0.0, 0.0, force, 0.0, 0.0)
-    least, factor = NO_BOUND, setup.mass_factor
+    slowest, factor = NO_BOUND, setup.mass_factor
     for k in range(len(mobilities)):
         m = mobilities[k]
         if m.hull != HULL_NONE and speed > 0.0:
             mu = factor * point_reduced_mass(m, factor * case.obstacle_mobility, 1.0)
             if mu * case.stiffness * speed * speed >= rest:
                 return Bound(-math.inf, 0.0, 0.0, force, 0.0, 0.0)
-        bound = free_bound(case, mobilities[k], setup.mass_factor, case.stiffness / rest)
-        if k == 0 or bound.speed < least.speed:
-            least = bound
-    return Bound(least.speed, least.reduced_mass, least.growth, force, 0.0, 0.0)
+        bound = free_bound(case, mobilities[k], setup.mass_factor, case.stiffness / rest, least)
+        if k == 0 or bound.speed < slowest.speed:
+            slowest = bound
+    return Bound(slowest.speed, slowest.reduced_mass, slowest.growth, force, 0.0, 0.0)
 
 
 @inlined
@@ -199,11 +223,11 @@ def governing_case(
             heaviest = min(work.max_masses[k], case.body_mass * mobilities[k].speed_ratio)
             no_slower = speed <= 0.0 or heaviest * rate * speed * speed <= 1.0
             if not no_slower or least < 0.0:  # `speed` may be NaN, and bounds no negative one
-                other = case_bound(case, mobilities[k], factor, rate, speed)
+                other = case_bound(case, mobilities[k], factor, rate, least)
                 if other.speed < bound.speed:
                     bound = other
         if drives.has_push and bound.speed <= slowest.speed:
-            other = push_bound(case, mobilities, drives, setup, bound.speed)
+            other = push_bound(case, mobilities, drives, setup, bound.speed, slowest.speed)
             if bound.speed < other.speed:
                 bound = other
         is_first = bound.speed == slowest.speed and i < governing
@@ -214,26 +238,44 @@ def governing_case(
 
 @inlined
 def person_line_bound(
-    case: Case, p: Principal, m: Mobility, setup: Setup, line: tuple[float, float], rate: float, person: Person
+    case: Case,
+    p: Principal,
+    m: Mobility,
+    setup: Setup,
+    line: tuple[float, float],
+    rate: float,
+    person: Person,
+    least: float,
 ) -> Bound:
-    """Return the bound of one line of the drives with a moving person, whose speed is not part of it."""
+    """Return the bound of one line of the drives with a moving person, whose speed is not part of it.
+
+    It bounds nothing if it allows the speed `least` [m/s] anyway.
+    """
     alpha, beta = line
-    ratio = person_ratio(m, setup.mass_factor * alpha, beta, person.speed)
-    meeting = meeting_of(case, p, setup.mass_factor, alpha, beta, person, math.inf)
-    speed = max_speed(meeting, 1.0 / (ratio * math.sqrt(rate)))
+    meeting, limit, enough = meeting_of(case, p, setup.mass_factor, alpha, beta, person, math.inf), rate**-0.5, 0.0
+    if math.isfinite(least):
+        enough = limit / present_root(meeting, max(least, -meeting.gain))
+    ratio = person_ratio(m, setup.mass_factor * alpha, beta, person.speed, enough)
+    if ratio <= enough:
+        return NO_BOUND
+    speed = max_speed(meeting, limit / ratio)
     if meeting.heaviest == math.inf:
         meeting = meeting_of(case, p, setup.mass_factor, alpha, beta, person, setup.mass_cap)
     return Bound(speed, person_mass(meeting), 0.0, 0.0, ratio * present_root(meeting, person.robot_speed), 0.0)
 
 
 @inlined
-def person_case_bound(case: Case, p: Principal, m: Mobility, setup: Setup, rate: float, person: Person) -> Bound:
+def person_case_bound(
+    case: Case, p: Principal, m: Mobility, setup: Setup, rate: float, person: Person, least: float
+) -> Bound:
     """Return the bound of the drives of the settings with a moving person, as `case_bound`."""
     if case.line_count > 1 and not m.matrix_trace <= MAX_MOBILITY * setup.mass_factor:
-        return person_line_bound(case, p, m, setup, (case.obstacle_mobility, 0.0), rate, person)
-    fastest = person_line_bound(case, p, m, setup, (case.lines[0, 0], case.lines[0, 1]), rate, person)
+        return person_line_bound(case, p, m, setup, (case.obstacle_mobility, 0.0), rate, person, least)
+    fastest = person_line_bound(case, p, m, setup, (case.lines[0, 0], case.lines[0, 1]), rate, person, least)
     for i in range(1, case.line_count):
-        bound = person_line_bound(case, p, m, setup, (case.lines[i, 0], case.lines[i, 1]), rate, person)
+        if fastest.speed == math.inf:
+            break
+        bound = person_line_bound(case, p, m, setup, (case.lines[i, 0], case.lines[i, 1]), rate, person, least)
         if bound.speed > fastest.speed:
             fastest = bound
     return fastest
@@ -241,20 +283,20 @@ def person_case_bound(case: Case, p: Principal, m: Mobility, setup: Setup, rate:
 
 @inlined
 def person_push_bound(
-    case: Case, mobilities: Sequence[Mobility], drives: Drives, setup: Setup, work: Work, person: Person
+    case: Case, mobilities: Sequence[Mobility], drives: Drives, setup: Setup, work: Work, person: Person, least: float
 ) -> Bound:
     """Return the bound of free joints and the push of the drives with a moving person, as `push_bound`."""
     force = push_force(case, drives, setup)
     rest = case.force * (case.force - 2.0 * force)
     if not rest > 0.0:
         return Bound(-person.speed if force < math.inf else -math.inf, 0.0, 0.0, force, 0.0, 0.0)
-    least, person = NO_BOUND, Person(person.has_direction, person.speed, person.robot_speed, accelerates=False)
+    slowest, person = NO_BOUND, Person(person.has_direction, person.speed, person.robot_speed, accelerates=False)
     for k in range(len(mobilities)):
         rate, line = case.stiffness / rest, (case.obstacle_mobility, 1.0)
-        bound = person_line_bound(case, work.principals[k], mobilities[k], setup, line, rate, person)
-        if bound.speed < least.speed:
-            least = bound
-    return Bound(least.speed, least.reduced_mass, 0.0, force, least.root, 0.0)
+        bound = person_line_bound(case, work.principals[k], mobilities[k], setup, line, rate, person, least)
+        if bound.speed < slowest.speed:
+            slowest = bound
+    return Bound(slowest.speed, slowest.reduced_mass, 0.0, force, slowest.root, 0.0)
 
 
 @inlined
@@ -262,21 +304,24 @@ def governing_person_case(
     cases: Sequence[Case], mobilities: Sequence[Mobility], drives: Drives, setup: Setup, work: Work, person: Person
 ) -> tuple[int, Bound]:
     """Return the case that allows the robot the least speed with a moving person, and its bound."""
-    governing, slowest = 0, NO_BOUND
-    for i in range(len(cases)):
+    governing, slowest, start = 0, NO_BOUND, case_at_point(cases, mobilities, setup.mass_factor)
+    for n in range(len(cases)):
+        i = (start + n) % len(cases)
         case, bound = cases[i], NO_BOUND
         rate = case.rate
         if drives.max_force < case.force:
             excess = case.force / drives.max_force if drives.max_force > 0.0 else math.inf
             rate *= excess * excess
         for k in range(len(mobilities)):
-            other = person_case_bound(case, work.principals[k], mobilities[k], setup, rate, person)
+            least = min(slowest.speed, bound.speed)
+            other = person_case_bound(case, work.principals[k], mobilities[k], setup, rate, person, least)
             if other.speed < bound.speed:
                 bound = other
-        if drives.has_push:
-            other = person_push_bound(case, mobilities, drives, setup, work, person)
+        if drives.has_push and bound.speed <= slowest.speed:
+            other = person_push_bound(case, mobilities, drives, setup, work, person, slowest.speed)
             if bound.speed < other.speed:
                 bound = other
-        if bound.speed < slowest.speed:
+        is_first = bound.speed == slowest.speed and i < governing
+        if bound.speed < slowest.speed or is_first:
             governing, slowest = i, bound
     return governing, slowest

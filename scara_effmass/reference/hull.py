@@ -28,7 +28,9 @@ from scara_effmass.iso15066.allowable_speed import ContactCase
 from scara_effmass.values import FloatArray
 
 STEPS = 2
-"""Frank-Wolfe steps: with two, the bound of the force is mostly within 2 % of the worst point."""
+"""Largest number of Frank-Wolfe steps: with two, the bound of the force is mostly within 2 % of the worst point."""
+MAX_GAP = 0.01
+"""The steps end where further ones lessen the bound of the energy by less than this part of it, by its dual value."""
 FIRST_TRIAL = 0.3
 """First trial for the length of a step; the second one follows from the slopes."""
 MIN_MOBILITY = 0.01
@@ -43,7 +45,7 @@ class Hull:
 
     `twist` (6,) is linear, then angular, `mobility` B (6, 6) that of the link in one mass model, both about that place;
     None for a mass that is the same everywhere. `vertex` is that at which the contact counts, which must move.
-    `energy_of_arm` [J] is qd^T M qd: the bound of x = 0, of contacts that stop all of the arm.
+    `energy_of_arm` [J] is qd^T M qd.
     """
 
     vertices: FloatArray
@@ -82,28 +84,30 @@ class Hull:
         """Return a bound of v^T (s 1 + A)^-1 v [kg m2/s2] of every point, `s` above 0 [1/kg]."""
         mobility, twist, maps = np.asarray(self.mobility), self.twist, self.maps
 
-        def evaluate(support: list[int], weights: FloatArray) -> tuple[FloatArray, float]:
-            """Return the squares of the speeds |T_i x| and the bound that they prove."""
+        def evaluate(support: list[int], weights: FloatArray) -> tuple[FloatArray, float, float]:
+            """Return the squares of the speeds |T_i x|, the excess of the largest over their mean, and the bound."""
             t_w = (np.sqrt(weights)[:, None, None] * maps[support]).reshape(-1, 6)
             h = t_w.T @ np.linalg.solve(s * np.eye(len(t_w)) + t_w @ mobility @ t_w.T, t_w @ twist)
             given = mobility @ h
             squares = np.sum((maps @ (twist - given)) ** 2, axis=1)
             speed = math.sqrt(squares.max()) + person_speed
-            return squares, float(h @ given) + speed * speed / s
+            excess = float(squares.max() - weights @ squares[support])
+            return squares, excess, float(h @ given) + speed * speed / s
 
         support, weights = [self.vertex], np.ones(1)
-        squares, bound = evaluate(support, weights)
-        least = min(bound, self.energy_of_arm + person_speed * person_speed / s)
+        squares, excess, bound = evaluate(support, weights)
+        least = min(bound, scaled_energy(self.energy_of_arm, s, math.sqrt(self.squares.max()), person_speed))
         for _ in range(STEPS):
-            i, mean = farthest(squares), float(weights @ squares[support])
-            slope = float(squares[i]) - mean
-            if not slope > TIE * mean:
+            if not excess > MAX_GAP * s * least:
                 break
-            start, support, t = weights, [*support, i], FIRST_TRIAL
+            i, start, slope, t = farthest(squares), weights, excess, FIRST_TRIAL
+            support = [*support, i]
             for _ in range(2):
                 weights = np.append((1.0 - t) * start, t)
-                squares, bound = evaluate(support, weights)
+                squares, excess, bound = evaluate(support, weights)
                 least = min(least, bound)
+                if not excess > MAX_GAP * s * least:
+                    break
                 t = second_trial(slope, float(squares[i] - start @ squares[support[:-1]]))
         return least
 
@@ -115,6 +119,13 @@ def hull_mobility(cases: Sequence[ContactCase]) -> float:
     """
     weakest = max(cases, key=lambda case: case.stiffness / case.force**2 / max(case.obstacle_mobility, MIN_MOBILITY))
     return max(weakest.obstacle_mobility, MIN_MOBILITY)
+
+
+def scaled_energy(energy_of_arm: float, s: float, speed: float, person_speed: float) -> float:
+    """Return the least bound of x = t qd: contacts that slow down all of the arm, a link of it from `speed` [m/s]."""
+    t = max(0.0, (energy_of_arm - speed * person_speed / s) / (energy_of_arm + speed * speed / s))
+    rest = t * speed + person_speed
+    return (1.0 - t) * (1.0 - t) * energy_of_arm + rest * rest / s
 
 
 def second_trial(at_start: float, slope: float) -> float:
