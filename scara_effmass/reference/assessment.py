@@ -93,8 +93,9 @@ def assess(
     qd: FloatArray,
     velocity_tolerance: Sequence[float] = (),
     acceleration: JointAcceleration | None = None,
+    chosen: slice = slice(None),
 ) -> list[ContactResult]:
-    """Return the assessment of each contact point at `q` (n,) [rad, m] and `qd` (n,), finite numbers.
+    """Return the assessment of each of the `chosen` contact points at `q` (n,) [rad, m] and `qd` (n,), finite numbers.
 
     `limits` are those of `settings`, see `iso15066.limits_for`. `velocity_tolerance` (n,) bounds the errors of `qd`;
     empty: no errors. None as `acceleration` is a robot that does not accelerate.
@@ -103,7 +104,7 @@ def assess(
     none = np.zeros_like(qd)
     acceleration = acceleration or JointAcceleration(none, none)
     place = hull_mobility(cases), settings.speed_threshold
-    contacts = [contact.at_worst_vertex(*place) for contact in dynamics.at(q, qd).contacts]
+    contacts = [contact.at_worst_vertex(*place) for contact in dynamics.at(q, qd).contacts[chosen]]
     return [
         ContactAssessor(
             contact, settings, tuple(limits), cases, contact.speed_tolerance(velocity_tolerance), acceleration

@@ -45,7 +45,7 @@ from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import Decision, FloatArray, JointState, Payload, Verdict
 
 CHECK_INTERVAL = 2000
-"""Number of joint states of which one is compared with the reference."""
+"""Number of joint states of which one is compared with the reference at each contact; the contacts take turns."""
 TRIALS = 24
 """Number of joint states at which kernel and reference are compared when the kernel is compiled."""
 CLOCK_STEPS = 10
@@ -153,7 +153,7 @@ class Monitor:
             admit(trial.states, trial.motions, rules, memory, joints)
             trial.records["is_admitted"] = 1
             self.compute(trial)
-            fields = map(self._reference.difference, trial.motions, trial.numbers, trial.records["age"].tolist())
+            fields = map(self._difference, trial.motions, trial.numbers, trial.records["age"].tolist())
             field = next(filter(None, fields), "")
             settle(trial.states, trial.numbers, trial.unknown, rules, memory, debounces)
         except Exception as error:
@@ -209,7 +209,8 @@ class Monitor:
             self._kernel: ContactKernel | ReferenceChannel = self._reference
         else:
             self._kernel = ContactKernel(self.dynamics, settings, self._limits)
-        self._until_check = CHECK_INTERVAL
+        self._until_check = CHECK_INTERVAL // len(self.dynamics.contacts)
+        self._next_checked = 0
         self._unknown = unknown_numbers(0.0 if robot.masses_reason else robot.iso_mass)
         self._normal = f"{settings.contact_normal} {settings.contact_normal_frame}".strip()
         self._points = self.dynamics.contact_points
@@ -405,12 +406,18 @@ class Monitor:
             self._compare(pending)
         return self.settle(pending)
 
+    def _difference(self, motion: FloatArray, numbers: FloatArray, age: float) -> str:
+        """Return the first field in which kernel and reference differ at the contact whose turn it is, else empty."""
+        turn = self._next_checked
+        self._next_checked = (turn + 1) % len(self._points)
+        return self._reference.difference(motion, numbers, age, slice(turn, turn + 1))
+
     def _compare(self, pending: Pending) -> None:
         """Compare the kernel with the reference; where they disagree, the reference works alone from then on."""
-        self._until_check = CHECK_INTERVAL
+        self._until_check = CHECK_INTERVAL // len(self._points)
         if self._why_reference or not pending.records["is_admitted"][0]:
             return
-        field = self._reference.difference(pending.motions[0], pending.numbers[0], float(pending.records["age"][0]))
+        field = self._difference(pending.motions[0], pending.numbers[0], float(pending.records["age"][0]))
         if field:
             self._doubt(field)
             pending.records["is_admitted"] = 0

@@ -30,24 +30,27 @@ class ReferenceChannel:
         cancels = settings.drives is Drives.SERVO or settings.contact is ContactType.QUASI_STATIC
         self._tolerance = CANCELLED if cancels else AGREEMENT
 
-    def compute(self, states: ByteArray, motions: FloatArray, numbers: FloatArray) -> None:
-        """Write the contacts at the admitted ones of N joint states, as `ContactKernel.compute`."""
-        contacts = numbers.view(CONTACT)[..., 0]
+    def compute(self, states: ByteArray, motions: FloatArray, numbers: FloatArray, chosen: slice = slice(None)) -> None:
+        """Write the `chosen` contacts at the admitted ones of N joint states, as `ContactKernel.compute` does all."""
+        contacts = numbers.view(CONTACT)[..., 0][:, chosen]
         records = states.view(STATE)
         for row in np.flatnonzero(records["is_admitted"]).tolist():
             q, qd, tolerance, qdd, errors = motions[row]
             acceleration = JointAcceleration(qdd, errors, float(records["age"][row]))
-            results = assess(self._dynamics, self._settings, self._limits, q, qd, tolerance.tolist(), acceleration)
+            results = assess(
+                self._dynamics, self._settings, self._limits, q, qd, tolerance.tolist(), acceleration, chosen
+            )
             for contact, result in zip(contacts[row], results, strict=True):
                 fill(contact, result)
 
-    def difference(self, motion: FloatArray, numbers: FloatArray, age: float) -> str:
-        """Return the first field in which `numbers` (P, fields) at `motion` (5, n) differ; empty if none does."""
+    def difference(self, motion: FloatArray, numbers: FloatArray, age: float, chosen: slice = slice(None)) -> str:
+        """Return the first field in which the `chosen` numbers (P, fields) at `motion` (5, n) differ, else empty."""
         expected = np.zeros((1, *numbers.shape))
         state = np.zeros(1, STATE)
         state["is_admitted"], state["age"] = 1, age
-        self.compute(state.view(np.uint8), motion[None], expected)
-        for own, other in zip(numbers.view(CONTACT)[..., 0], expected.view(CONTACT)[0, :, 0], strict=True):
+        self.compute(state.view(np.uint8), motion[None], expected, chosen)
+        pairs = zip(numbers.view(CONTACT)[chosen, 0], expected.view(CONTACT)[0, chosen, 0], strict=True)
+        for own, other in pairs:
             tolerance = self._tolerance if other["smallest_singular_value"] > SINGULAR else SINGULAR
             for name in FIELDS:
                 if not np.allclose(own[name], other[name], tolerance, tolerance, equal_nan=True):

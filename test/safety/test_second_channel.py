@@ -126,8 +126,14 @@ def test_kernel_that_cannot_be_compiled_says_why(monkeypatch: pytest.MonkeyPatch
         monitor.compile()
 
 
-def spoil(monkeypatch: pytest.MonkeyPatch, field: str, change: Callable[[float], float], correct: int = 0) -> list[int]:
-    """Let the kernel compute `field` wrongly after `correct` runs; return the list of its runs."""
+def spoil(
+    monkeypatch: pytest.MonkeyPatch,
+    field: str,
+    change: Callable[[float], float],
+    correct: int = 0,
+    contacts: slice = slice(None),
+) -> list[int]:
+    """Let the kernel compute `field` of `contacts` wrongly after `correct` runs; return the list of its runs."""
     compute = ContactKernel.compute
     runs: list[int] = []
 
@@ -135,11 +141,25 @@ def spoil(monkeypatch: pytest.MonkeyPatch, field: str, change: Callable[[float],
         compute(kernel, states, motions, numbers)
         runs.append(len(runs))
         if len(runs) > correct:
-            for contact in numbers.view(CONTACT)[..., 0].ravel():
+            for contact in numbers.view(CONTACT)[:, contacts].ravel():
                 contact[field] = change(contact[field])
 
     monkeypatch.setattr(ContactKernel, "compute", wrong)
     return runs
+
+
+@pytest.mark.parametrize("wrong", range(len(POINTS)))
+def test_contacts_are_compared_by_turns(monkeypatch: pytest.MonkeyPatch, wrong: int) -> None:
+    """So that no callback waits for the reference of them all."""
+    monkeypatch.setattr(monitor_module, "CHECK_INTERVAL", INTERVAL)
+    monitor = new_monitor(drives="free", contact_points=POINTS)
+    runs = spoil(monkeypatch, "allowable_speed", lambda value: value + 1e-6, contacts=slice(wrong, wrong + 1))
+    for state in motion(monitor, INTERVAL + len(POINTS)):
+        monitor.assess(state, state.stamp_ns)
+        if monitor.kernel_fault:
+            break
+    assert "allowable_speed" in monitor.kernel_fault
+    assert len(runs) <= (wrong + 1) * INTERVAL // len(POINTS)
 
 
 @pytest.mark.parametrize(
