@@ -68,6 +68,7 @@ def files(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in paths}
 
 
+@pytest.mark.usefixtures("unrendered")
 def test_result_does_not_depend_on_where_it_is_computed(bags: Path, scheduler: str, cli: Cli, tmp_path: Path) -> None:
     commands = {"a.parquet": "assess", "a.csv": "assess", "a.mcap": "assess", "coverage": "coverage", "data": "assess"}
     places = {"one": ("--jobs", "1"), "remote": ("--scheduler", scheduler), "local": ("--jobs", "2")}
