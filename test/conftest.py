@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Settings and fixtures of all tests: reproducible Hypothesis runs, ROS domains, the `live` marker."""
 
+import gc
 import os
 import signal
 import socket
@@ -46,6 +47,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for number in range(workers):  # pytest-xdist gives each an equal part of the list
         for part in (live, other):
             items += part[len(part) * number // workers : len(part) * (number + 1) // workers]
+
+
+def pytest_collection_finish() -> None:
+    """Let the garbage collector skip what stays until the end: the imports and the collected tests."""
+    gc.freeze()
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
@@ -94,6 +100,13 @@ def _reserved_domain() -> Iterator[int]:
 def reserve_domain() -> Callable[[], AbstractContextManager[int]]:
     """Return a context manager that reserves an unused ROS domain against all test processes of this machine."""
     return _reserved_domain
+
+
+@pytest.fixture
+def unrendered(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw the figures of reports, but write empty files: rendering takes most of the time of a command."""
+    monkeypatch.setattr("scara_effmass.analysis.report.FigureCanvasAgg.print_png", lambda *_: None)
+    monkeypatch.setattr("scara_effmass.analysis.report.FigureCanvasSVG.print_svg", lambda *_, **__: None)
 
 
 @pytest.fixture

@@ -7,6 +7,7 @@ the interpreter does, the tests of installation, entry points and documentation 
 
 import atexit
 import ctypes
+import gc
 import json
 import os
 import random
@@ -141,6 +142,7 @@ def end(code: int) -> None:
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     import_all()
+    gc.freeze()  # else each fork copies the memory of all imports at its first collection
     if asked := serve(socket.socket(fileno=int(sys.argv[1]))):
         try:
             code = run(asked)

@@ -84,8 +84,16 @@ class Frame:
 
 def median_and_deviation(samples: FloatArray) -> tuple[float, float]:
     """Return median and robust standard deviation of `samples` (n,); the latter is 0 if more than half are equal."""
-    centre = float(np.median(samples))
-    return centre, _GAUSSIAN * float(np.median(np.abs(samples - centre)))
+    centre = _median(samples)
+    return centre, _GAUSSIAN * _median(np.abs(samples - centre))
+
+
+def _median(samples: FloatArray) -> float:
+    """Return the median of finite `samples` (n,), in a fraction of the time that numpy takes for few samples."""
+    last = samples.size // 2
+    first = last - 1 + samples.size % 2
+    ordered = np.partition(samples, (first, last))
+    return 0.5 * float(ordered[first] + ordered[last])
 
 
 def quantisation_deviation(samples: FloatArray, centre: float) -> float:

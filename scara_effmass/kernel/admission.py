@@ -17,6 +17,7 @@ from typing import Any
 
 from scara_effmass.codes import Reason
 from scara_effmass.kernel.jit import compiled, inlined
+from scara_effmass.kernel.reasons import set_reason
 from scara_effmass.kernel.records import ByteArray
 from scara_effmass.kernel.state import (
     CODE,
@@ -30,7 +31,6 @@ from scara_effmass.kernel.state import (
     Memory,
     Rules,
     State,
-    set_reason,
 )
 from scara_effmass.values import FloatArray
 

@@ -39,6 +39,7 @@ from scara_effmass.kernel.mobility import (
 from scara_effmass.kernel.model_choice import Choice, choose_models, largest_along, mass_along, worst_mass
 from scara_effmass.kernel.person import person_of, set_principal, set_single
 from scara_effmass.kernel.pose_change import assign, assign_symmetric, turn_change
+from scara_effmass.kernel.reasons import set_reason
 from scara_effmass.kernel.records import (
     CASE,
     CONTACT,
@@ -58,7 +59,7 @@ from scara_effmass.kernel.records import (
 )
 from scara_effmass.kernel.spatial import dot, matrix_at, rotate_back, sub, vector, vector_at
 from scara_effmass.kernel.speed_limit import Bound, Drives, governing_case, governing_person_case
-from scara_effmass.kernel.state import STATE, VALUES, set_reason
+from scara_effmass.kernel.state import STATE, VALUES
 from scara_effmass.kernel.static_force import clamping_force, holding_force
 from scara_effmass.values import NO_MOBILITY, ZERO_VECTOR, FloatArray, Mobility6, Vector3, Verdict
 

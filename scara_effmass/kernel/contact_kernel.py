@@ -165,7 +165,8 @@ def _case(case: ContactCase, region: int) -> Case:
 
 def _bytes(records: Sequence[Any]) -> ByteArray:
     """Return the bytes of `records`, all of one class; an array shorter than its field fills the first entries."""
-    array = np.zeros(len(records), dtype_of(type(records[0])))
+    kind: type = type(records[0])
+    array = np.zeros(len(records), dtype_of(kind))
     for entry, record in zip(array, records, strict=True):
         for name in array.dtype.names or ():
             value = getattr(record, name)

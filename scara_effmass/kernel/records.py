@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 from itertools import accumulate
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
@@ -262,6 +263,7 @@ class Work:
     gains: Annotated[FloatArray, (MAX_MOBILITIES,)]
 
 
+@cache
 def dtype_of(record: type) -> np.dtype[np.void]:
     """Return numpy's type of a record class above; its fields are attributes in plain Python, too."""
     fields = []

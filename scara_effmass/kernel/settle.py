@@ -12,6 +12,7 @@ from typing import Any
 from scara_effmass import values
 from scara_effmass.codes import Reason
 from scara_effmass.kernel.jit import compiled, inlined
+from scara_effmass.kernel.reasons import copy_reason, set_reason
 from scara_effmass.kernel.records import CONTACT, ByteArray, Contact
 from scara_effmass.kernel.state import (
     CODE,
@@ -24,8 +25,6 @@ from scara_effmass.kernel.state import (
     Debounce,
     Memory,
     State,
-    copy_reason,
-    set_reason,
 )
 from scara_effmass.values import FloatArray, Verdict
 

@@ -48,20 +48,20 @@ def hold_light_end(robot: Robot, point: str) -> Robot:
 
 def _typical_masses(robot: Robot, frame: int, column: int) -> tuple[float, float]:
     """Return the median mass [kg] of the lightest direction with a joint free and locked; 0 if it is needed there."""
-    model, data, masses = robot.model, robot.model.createData(), []
+    model, data = robot.model, robot.model.createData()
     others = [i for i in range(model.nv) if i != column]
-    for q in robot.sample_configurations():
-        jacobian = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)[:3]
-        matrix = robot.mass_matrix(model, data, q)
-        singular = np.linalg.svd(jacobian[:, others], compute_uv=False)
-        if len(singular) < 3 or singular[2] < MIN_MOBILITY * singular[0]:
-            masses.append((1.0, 0.0))
-            continue
-        pair = []
-        for columns in ([*range(model.nv)], others):
-            part = jacobian[:, columns]
-            mobility = part @ np.linalg.solve(matrix[np.ix_(columns, columns)], part.T)
-            pair.append(1.0 / float(np.linalg.eigvalsh(mobility)[-1]))
-        masses.append((pair[0], pair[1]))
+    poses = robot.sample_configurations()
+    jacobians = np.array([pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)[:3] for q in poses])
+    matrices = np.array([robot.mass_matrix(model, data, q) for q in poses])
+    singular = np.linalg.svd(jacobians[:, :, others], compute_uv=False)
+    if singular.shape[1] < 3:
+        return 1.0, 0.0
+    suffice = singular[:, 2] >= MIN_MOBILITY * singular[:, 0]
+    masses = np.tile((1.0, 0.0), (len(poses), 1))
+    for kind, columns in enumerate(([*range(model.nv)], others)):
+        part = jacobians[suffice][:, :, columns]
+        inertia = matrices[suffice][:, columns][:, :, columns]
+        mobility = part @ np.linalg.solve(inertia, part.swapaxes(1, 2))
+        masses[suffice, kind] = 1.0 / np.linalg.eigvalsh(mobility)[:, -1]
     free, locked = np.median(masses, axis=0).tolist()
     return free, locked

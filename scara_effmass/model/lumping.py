@@ -16,6 +16,7 @@ Masses of neighbouring links on the same axis add up, so n joints leave n + 1 ma
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -122,6 +123,7 @@ class LumpedModel:
         return self.aggregated[1], sum(self.aggregated[2:])
 
 
+@lru_cache(maxsize=16)
 def is_scara(robot: Robot) -> bool:
     """Return whether the robot is a chain R-R-P-R with parallel axes, of which the last two coincide."""
     if robot.revolute != (True, True, False, True):
@@ -132,6 +134,7 @@ def is_scara(robot: Robot) -> bool:
     return parallel and float(np.linalg.norm(point - (point @ axis) * axis)) < ON_AXIS_M
 
 
+@lru_cache(maxsize=16)
 def lumped_suffices(robot: Robot) -> bool:
     """Return whether the lumped masses of `robot` suffice without inertia tensors to compare them with.
 

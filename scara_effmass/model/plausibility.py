@@ -94,9 +94,10 @@ def judge(robot: Robot) -> Plausibility:
     reach, arm_reach, gravity, matrices, jacobians = 0.0, 0.0, np.zeros(model.nv), [], []
     slides = ~np.array(robot.revolute)
     for q in robot.sample_configurations():
-        # The travel of a slide, such as that of a base, is no size of an arm.
-        arm_reach = max(arm_reach, _reach(robot, data, np.where(slides, np.clip(0.0, *_limits(robot)), q)))
         reach = max(reach, _reach(robot, data, q))
+        # The travel of a slide, such as that of a base, is no size of an arm.
+        at_rest = np.where(slides, np.clip(0.0, *_limits(robot)), q)
+        arm_reach = max(arm_reach, _reach(robot, data, at_rest)) if slides.any() else reach
         gravity = np.maximum(gravity, np.abs(pin.computeGeneralizedGravity(model, data, q)))
         if not robot.inertias_reason:
             frame = next(iter(robot.contact_frames.values()))

@@ -22,7 +22,7 @@ SAMPLES = 64
 """Number of configurations at which structural properties of a model are evaluated."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Robot:
     """Kinematics, inertial data and limits of one serial robot, payload included.
 

@@ -257,22 +257,32 @@ class LifecycleBase(LifecycleNode):
         Refuse a change if the settings model or `validate` raises EffmassError, whose text becomes the reason. What is
         fixed on a configured node can change while it is unconfigured.
         """
-        fields = flat_fields(type(current())).items()
-        self.fixed_parameters = [name for name, f in fields if f.json_schema_extra == READ_ONLY and name != "autostart"]
+        fields = flat_fields(type(current()))
+        fixed = [name for name, field in fields.items() if field.json_schema_extra == READ_ONLY]
+        self.fixed_parameters = [name for name in fixed if name != "autostart"]
         self.set_read_only(read_only=False)
 
         def changed(changes: list[Parameter]) -> Settings:
             return parameters.changed_settings(current(), changes, self.get_name())
 
+        def is_own(changes: list[Parameter]) -> bool:
+            """Return whether a setting is among the changes; each endpoint declares several parameters of its own."""
+            return any(change.name in fields for change in changes)
+
         def on_set(changes: list[Parameter]) -> SetParametersResult:
             try:
-                validate(changed(changes))
+                if is_own(changes):
+                    validate(changed(changes))
             except EffmassError as error:
                 return SetParametersResult(successful=False, reason=str(error))
             return SetParametersResult(successful=True)
 
+        def after_set(changes: list[Parameter]) -> None:
+            if is_own(changes):
+                apply(changed(changes), {change.name for change in changes})
+
         self.add_on_set_parameters_callback(on_set)
-        self.add_post_set_parameters_callback(lambda changes: apply(changed(changes), {p.name for p in changes}))
+        self.add_post_set_parameters_callback(after_set)
 
     def set_read_only(self, *, read_only: bool) -> None:
         """Mark the fixed parameters as read-only or writable."""

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from scara_effmass.codes import Reason
 from scara_effmass.kernel.records import CONTACT, FIELDS, PLACES
-from scara_effmass.kernel.state import CODE, STATE
-from scara_effmass.safety.assumptions import Assumptions
-from scara_effmass.safety.reasons import CRITERIA, MODELS, ReasonTexts
+from scara_effmass.kernel.state import CODE, DETAIL, STATE
+from scara_effmass.safety.assumptions import NO_ASSUMPTIONS, Assumptions
+from scara_effmass.safety.reasons import CRITERIA, MODELS, NO_TEXTS, ReasonTexts
 from scara_effmass.values import ContactAssessment, Decision, FloatArray, Verdict
 
 BLOCK = 64
@@ -157,3 +157,18 @@ def unknown_contact(point: str, reason: str, code: Reason = Reason.STATED) -> Co
     """Return an UNKNOWN without numbers."""
     contact = contact_of(unknown_numbers().view(CONTACT)[0], point, reason, _NO_LABELS)
     return contact._replace(reason_code=code)
+
+
+def unknown_assessments(
+    reason: Reason, detail: str = "", stamp_ns: int = 0, points: tuple[str, ...] = ("",), *, watchdog: bool = False
+) -> Assessments:
+    """Return UNKNOWN for each contact point without a monitor; `watchdog`: it answers no joint state.
+
+    Without a robot there is one contact point, without a name.
+    """
+    record = np.zeros(1, STATE)
+    record["stamp_ns"], record["is_watchdog"] = max(stamp_ns, 0), watchdog
+    numbers = np.tile(unknown_numbers(), (1, len(points), 1))
+    numbers.view(CONTACT)["reason"][..., [CODE, DETAIL]] = reason, 1.0
+    record["verdict"] = Verdict.UNKNOWN
+    return Assessments(record.view(np.uint8), numbers, points, "", ("", detail), NO_TEXTS, NO_ASSUMPTIONS)

@@ -37,9 +37,9 @@ from scara_effmass.kernel.state import (
 from scara_effmass.model.joint_acceleration import max_joint_accelerations
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety.assessments import Assessments, Records, unknown_numbers
-from scara_effmass.safety.assumptions import NO_ASSUMPTIONS, assumptions_of
+from scara_effmass.safety.assumptions import assumptions_of
 from scara_effmass.safety.joint_state_adapter import MAX_LAYOUTS, JointStateAdapter, Layout, suggested_map
-from scara_effmass.safety.reasons import NO_TEXTS, ReasonTexts
+from scara_effmass.safety.reasons import ReasonTexts
 from scara_effmass.safety.second_channel import ReferenceChannel
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import Decision, FloatArray, JointState, Payload, Verdict
@@ -588,18 +588,3 @@ class Monitor:
             index = self._detail_index[text] = len(self._details)
             self._details.append(text)
         return index
-
-
-def unknown_assessments(
-    reason: Reason, detail: str = "", stamp_ns: int = 0, points: tuple[str, ...] = ("",), *, watchdog: bool = False
-) -> Assessments:
-    """Return UNKNOWN for each contact point without a monitor; `watchdog`: it answers no joint state.
-
-    Without a robot there is one contact point, without a name.
-    """
-    record = np.zeros(1, STATE)
-    record["stamp_ns"], record["is_watchdog"] = max(stamp_ns, 0), watchdog
-    numbers = np.tile(unknown_numbers(), (1, len(points), 1))
-    numbers.view(CONTACT)["reason"][..., [CODE, DETAIL]] = reason, 1.0
-    record["verdict"] = Verdict.UNKNOWN
-    return Assessments(record.view(np.uint8), numbers, points, "", ("", detail), NO_TEXTS, NO_ASSUMPTIONS)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -49,12 +50,12 @@ class ReferenceChannel:
         state = np.zeros(1, STATE)
         state["is_admitted"], state["age"] = 1, age
         self.compute(state.view(np.uint8), motion[None], expected, chosen)
-        pairs = zip(numbers.view(CONTACT)[chosen, 0], expected.view(CONTACT)[0, chosen, 0], strict=True)
-        for own, other in pairs:
-            tolerance = self._tolerance if other["smallest_singular_value"] > SINGULAR else SINGULAR
-            for name in FIELDS:
-                if not np.allclose(own[name], other[name], tolerance, tolerance, equal_nan=True):
-                    return name
+        for own, other in zip(numbers[chosen], expected[0, chosen], strict=True):
+            contact, reference = own.view(CONTACT)[0], other.view(CONTACT)[0]
+            tolerance = self._tolerance if reference["smallest_singular_value"] > SINGULAR else SINGULAR
+            agrees = partial(np.allclose, rtol=tolerance, atol=tolerance, equal_nan=True)
+            if not agrees(own, other):
+                return next(name for name in FIELDS if not agrees(contact[name], reference[name]))
         return ""
 
 

@@ -76,9 +76,11 @@ class PlateSim:
         self._nominal = self.model.body_mass.copy(), self.model.body_inertia.copy(), self.model.dof_armature.copy()
         self._jacobian_of_point = np.zeros((3, self.n))
         frames = [robot.model.frames[frame] for frame in robot.contact_frames.values()]
+        bodies = [int(self.model.jnt_bodyid[frame.parentJoint - 1]) for frame in frames]
         self._points = [
-            (int(self.model.jnt_bodyid[frame.parentJoint - 1]), np.array(frame.placement.translation))
-            for frame in frames
+            # The body, views of its position and orientation, and the place on it.
+            (body, self.data.xpos[body], self.data.xmat[body].reshape(3, 3), np.array(frame.placement.translation))
+            for body, frame in zip(bodies, frames, strict=True)
         ]
 
     def scale_masses(self, factors: FloatArray) -> None:
@@ -187,7 +189,7 @@ class PlateSim:
             if math.isinf(limit.body_mass_kg):
                 stop, duration = servo.stopping_time, servo.stopping_time + 1.0 / servo.bandwidth
             model.opt.gravity[2] = GRAVITY * pace
-        fine = phase_step / rate
+        fine, inertias = phase_step / rate, np.diag(inertia)
         offset = float(normal @ self._position(point))
         acceleration, half = np.zeros(self.n), velocity.copy()
         free_torque = np.zeros(self.n) if servo or not qdd.any() else self._torque_of(velocity, qdd)
@@ -195,42 +197,46 @@ class PlateSim:
         sliding = SLIDING * float(np.linalg.norm(jacobian @ velocity)) + TINY
         time = depth = step = 0.0
         peak = Peak(0.0, 0.0, 0.0)
+        qpos, qvel, torque = data.qpos, data.qvel, data.qfrc_applied
         while time < duration:
             # Leapfrog: `half` and `plate_half` are velocities half a step earlier.
-            data.qvel[:] = half + 0.5 * step * acceleration
+            qvel[:] = half + 0.5 * step * acceleration
             mujoco.mj_fwdPosition(model, data)
             mujoco.mj_fwdVelocity(model, data)
             last_depth, depth = depth, float(normal @ self._position(point)) - offset - plate
             if not math.isfinite(depth):
                 raise ArithmeticError(f"{self._robot.name}: simulation of an impact diverged after {time:.6f} s")
-            slip = self._jacobian(point) @ data.qvel - plate_half - 0.5 * step * push / limit.body_mass_kg
-            closing = float(normal @ slip)
-            force = max(k * depth + damping * closing, 0.0) if depth > 0.0 or time == 0.0 else 0.0
-            slip -= closing * normal
-            push = force * (normal + surface.friction * slip / (float(np.linalg.norm(slip)) + sliding))
-            total = float(np.linalg.norm(push))
             if servo is None and depth <= 0.0 < time:
                 break
-            if total > peak.force:
-                peak = Peak(total, time, float(np.max(np.abs(data.qpos - q))))
-            torque = data.qfrc_applied
             torque[:] = free_torque
             if servo is not None:
                 gaining = min(time, stop, accelerates_for)
-                error = q + velocity * min(time, stop) - data.qpos
+                error = q + velocity * min(time, stop) - qpos
                 error += qdd * gaining * (min(time, stop) - 0.5 * gaining)
-                error_rate = (velocity + qdd * gaining) * (time < stop) - data.qvel
+                error_rate = (velocity + qdd * gaining) * (time < stop) - qvel
                 now = qdd * (time < min(stop, accelerates_for))
-                torque[:] = self._torque(servo, error, error_rate, now, np.diag(inertia)).clip(-effort, effort)
-            if force > 0.0:
-                torque -= push @ self._jacobian(point)
+                stated = self._torque(servo, error, error_rate, now, inertias)
+                torque[:] = np.minimum(np.maximum(stated, -effort), effort)
+            if depth > 0.0 or time == 0.0:
+                jacobian = self._jacobian(point)
+                slip = jacobian @ qvel - plate_half - 0.5 * step * push / limit.body_mass_kg
+                closing = float(normal @ slip)
+                force = max(k * depth + damping * closing, 0.0)
+                slip -= closing * normal
+                push = force * (normal + surface.friction * slip / (math.sqrt(slip @ slip) + sliding))
+                total = math.sqrt(push @ push)
+                if total > peak.force:
+                    peak = Peak(total, time, float(np.max(np.abs(qpos - q))))
+                torque -= push @ jacobian
+            else:
+                push = np.zeros(3)
             mujoco.mj_fwdAcceleration(model, data)
             acceleration[:] = data.qacc_smooth
             closing_speed = max(depth - last_depth, 0.0) / step if step else 0.0
             last_step, step = step, fine if depth >= -2.0 * closing_speed * coarse else max(fine, coarse)
             half += 0.5 * (last_step + step) * acceleration
             plate_half += 0.5 * (last_step + step) * push / limit.body_mass_kg
-            data.qpos += step * half
+            qpos += step * half
             plate += step * float(normal @ plate_half)
             time += step
         return Peak(peak.force / pace, peak.time, peak.turn)
@@ -258,12 +264,12 @@ class PlateSim:
         return np.asarray(torque + self.data.qfrc_bias)
 
     def _position(self, point: int) -> FloatArray:
-        body, place = self._points[point]
-        return np.asarray(self.data.xpos[body] + self.data.xmat[body].reshape(3, 3) @ place)
+        _, position, orientation, place = self._points[point]
+        return np.asarray(position + orientation @ place)
 
     def _jacobian(self, point: int) -> FloatArray:
         """Return J_v (3, n) of contact point number `point`; the next call replaces it."""
-        body, _ = self._points[point]
+        body, *_ = self._points[point]
         mujoco.mj_jac(self.model, self.data, self._jacobian_of_point, None, self._position(point), body)
         return self._jacobian_of_point
 

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Advised factors: no state too fast, no slower than needed, accelerations kept, UNKNOWN never advised."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -63,11 +64,19 @@ def verdicts(decisions: Iterable[Decision]) -> set[Verdict]:
     return {contact.verdict for decision in decisions for contact in decision.contacts}
 
 
+@pytest.fixture(scope="module")
+def advised(dynamics: RobotDynamics, motion: Motion) -> Callable[[int | None], Advice]:
+    """Return a function that advises the motion in a number of segments, once for each number."""
+    return cache(partial(Judge(dynamics).advise, motion))
+
+
 @pytest.mark.parametrize("count", [None, 7, 0])
-def test_advised_motion_has_no_violation(dynamics: RobotDynamics, motion: Motion, count: int | None) -> None:
+def test_advised_motion_has_no_violation(
+    dynamics: RobotDynamics, motion: Motion, advised: Callable[[int | None], Advice], count: int | None
+) -> None:
     judge = Judge(dynamics)
     assert Verdict.VIOLATION in verdicts(judge(motion.states))
-    advice = judge.advise(motion, count)
+    advice = advised(count)
     assert Verdict.VIOLATION not in verdicts(judge(advice.states))
     assert np.all((advice.factors > 0.0) & (advice.factors <= 1.0))
     before, after = advice.times(motion)
@@ -82,10 +91,12 @@ def test_ok_motion_has_no_warn(dynamics: RobotDynamics, motion: Motion) -> None:
     assert verdicts(judge(judge.advise(motion, share=SETTINGS.warn_ratio).states)) <= {Verdict.OK, Verdict.UNKNOWN}
 
 
-def test_no_segment_is_slower_than_needed(dynamics: RobotDynamics, motion: Motion) -> None:
+def test_no_segment_is_slower_than_needed(
+    dynamics: RobotDynamics, motion: Motion, advised: Callable[[int | None], Advice]
+) -> None:
     """Brute force: every segment below 1 violates at each factor that is 2 % or more above the advised one."""
     judge = Judge(dynamics)
-    advice = judge.advise(motion)
+    advice = advised(None)
     limited = np.flatnonzero(advice.factors < 1.0)
     assert len(limited) >= 3
     for excess in (1.02, 1.05, 1.1, 1.25):
@@ -96,8 +107,10 @@ def test_no_segment_is_slower_than_needed(dynamics: RobotDynamics, motion: Motio
         assert all(bad[segment == k].any() for k in limited if advice.factors[k] * 1.02 < 1.0)
 
 
-def test_finer_segments_are_faster_and_each_state_by_itself_is_fastest(dynamics: RobotDynamics, motion: Motion) -> None:
-    durations = [Judge(dynamics).advise(motion, count).times(motion)[1].sum() for count in (1, 5, 0)]
+def test_finer_segments_are_faster_and_each_state_by_itself_is_fastest(
+    motion: Motion, advised: Callable[[int | None], Advice]
+) -> None:
+    durations = [advised(count).times(motion)[1].sum() for count in (1, 7, 0)]
     assert durations[0] > durations[1] > durations[2] > 1.0
 
 

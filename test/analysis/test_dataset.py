@@ -11,6 +11,8 @@ from typing import Any
 import pytest
 
 from scara_effmass.analysis.dataset import RECORDS, BagResult, BagTask, Record, assess_part, remove_unfinished
+from scara_effmass.bags.files import open_bag
+from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import OutputError
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import MonitorSettings
@@ -20,13 +22,22 @@ TASK = BagTask(MonitorSettings())
 Assess = Callable[..., BagResult]
 
 
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The first 0.4 s of the reference recording."""
+    path = tmp_path_factory.mktemp("recording") / "straight"
+    with open_bag(share("bags", "straight_300_200")) as bag, BagWriter(path) as writer:
+        for message in bag.messages(stop_ns=bag.start_ns + 400_000_000):
+            writer.write(*message)
+    return path
+
+
 @pytest.fixture
-def assess(tmp_path: Path, dynamics: RobotDynamics) -> Assess:
-    """Assess the reference recording into a dataset in `tmp_path`."""
+def assess(recording: Path, tmp_path: Path, dynamics: RobotDynamics) -> Assess:
+    """Assess the recording into a dataset in `tmp_path`."""
 
     def run(task: BagTask = TASK, *, overwrite: bool = False) -> BagResult:
-        path = share("bags", "straight_300_200")
-        return assess_part(tmp_path, path, "A7", task, dynamics, lambda *_: None, overwrite=overwrite)
+        return assess_part(tmp_path, recording, "A7", task, dynamics, lambda *_: None, overwrite=overwrite)
 
     return run
 

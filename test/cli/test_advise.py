@@ -49,6 +49,7 @@ def test_assessing_the_advised_tour_finds_nothing_too_fast(
         assert generated_description(bag).startswith(f"generated: the motion of {fast_bag}")
 
 
+@pytest.mark.usefixtures("unrendered")
 def test_segment_without_a_speed_is_named_and_writes_no_motion(
     cli: Cli, refused: Refused, fast_bag: Path, tmp_path: Path
 ) -> None:

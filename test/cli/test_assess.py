@@ -359,6 +359,7 @@ def test_undecodable_joint_state_gives_unknown_and_the_run_continues(swing_bag: 
     assert rows[499]["verdict"] != "UNKNOWN" != rows[800]["verdict"]
 
 
+@pytest.mark.usefixtures("unrendered")
 def test_only_unknown_is_no_success_and_says_the_remedy(swing_bag: Path, cli: Cli, tmp_path: Path) -> None:
     """A contact point that joint 4 moves has no lumped mass; auto takes another model."""
     file = yaml.safe_load(share("config", "omron_i4_550l.yaml").read_text(encoding="utf-8"))
@@ -399,6 +400,7 @@ def test_gaps_and_joint_states_of_other_devices_are_counted(swing_bag: Path, cli
     assert result["seconds_by_verdict"]["UNKNOWN"] >= 301 * 0.002 - 0.2
 
 
+@pytest.mark.usefixtures("unrendered")
 def test_report_shows_every_contact_point_and_episode(swing_bag: Path, cli: Cli, tmp_path: Path) -> None:
     words = ("assess", swing_bag, share("bags", "tour"), "-o", tmp_path / "a.csv", "--report", tmp_path / "report")
     done = cli(*words)
@@ -470,7 +472,7 @@ for bag in sys.argv[2:]:
 
 
 @pytest.mark.live
-@pytest.mark.parametrize("suffix", [".parquet", ".csv", ".mcap"])
+@pytest.mark.parametrize("suffix", [".csv", ".mcap"])
 def test_memory_does_not_grow_with_the_recording(suffix: str, swing_bag: Path, long_bag: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-c", MEMORY, str(tmp_path / f"a{suffix}"), str(swing_bag), str(long_bag)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
@@ -489,6 +491,7 @@ def test_memory_does_not_grow_with_the_recording_where_many_are_assessed_at_once
     command = [sys.executable, "-c", MEMORY, str(tmp_path / "a.parquet"), *map(str, paths)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     short_mb, long_mb = map(float, done.stderr.split())
+    assert long_mb < 400.0
     assert long_mb - short_mb < 80.0
 
 

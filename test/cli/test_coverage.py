@@ -4,6 +4,7 @@
 import json
 from pathlib import Path
 
+import pytest
 from matplotlib.image import imread
 
 from scara_effmass.share import share
@@ -29,6 +30,7 @@ def test_counts_of_an_earlier_run_are_added(swing_bag: Path, cli: Cli, refused: 
     assert "--force" in refused("coverage", swing_bag, "-o", tmp_path / "swing")
 
 
+@pytest.mark.usefixtures("unrendered")
 def test_names_of_the_joints_can_be_mapped(swing_bag: Path, cli: Cli, tmp_path: Path) -> None:
     robot = tmp_path / "other.yaml"
     text = share("config", "omron_i4_550l.yaml").read_text(encoding="utf-8")

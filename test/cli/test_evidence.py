@@ -17,6 +17,7 @@ from test.cli.conftest import Cli
 Start = Callable[..., subprocess.Popen[str]]
 
 
+@pytest.mark.usefixtures("unrendered")
 def test_short_run_and_its_continuation(cli: Cli, tmp_path: Path) -> None:
     folder = tmp_path / "new" / "evidence"
     result = cli("evidence", "-o", folder, "--impacts", "1", "--jobs", "1")

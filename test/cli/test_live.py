@@ -23,11 +23,10 @@ from scara_effmass.cli.nodes import node_arguments
 from scara_effmass.cli.processes import isolate_ros_domain
 from scara_effmass.share import share
 from scara_effmass.wire.message_types import INERTIA
-from test.cli.conftest import START_NS, Cli
+from test.cli.conftest import Cli
 
 Start = Callable[..., subprocess.Popen[str]]
 
-JOINT_STATE = "sensor_msgs/msg/JointState"
 PNG = b"\x89PNG\r\n\x1a\n"
 
 
@@ -133,33 +132,28 @@ def test_demo_with_a_bag_gives_the_result_of_assess(
     assert again.stderr == f"{tmp_path / 'out' / 'recording'}: already exists; use --force to replace it\n"
 
 
-def test_demo_marks_the_shipped_recording_as_generated(cli_process: Cli, tmp_path: Path) -> None:
-    done = cli_process("demo", "--bag", share("bags", "tour"), "--duration", "1", "--json")
+def test_demo_marks_the_shipped_recording_as_generated_and_uses_the_options(cli_process: Cli, tmp_path: Path) -> None:
+    """The tour, with other devices, another topic and a payload."""
+    with open_bag(share("bags", "tour")) as bag, BagWriter(tmp_path / "cell.mcap") as cell:
+        cell.write("/cell/load", INERTIA, bag.start_ns, bytes(serialize_message(Inertia(m=2.0))))
+        number = 0
+        for message in bag.messages(stop_ns=bag.start_ns + 2_000_000_000):
+            topic, data = message.topic, message.data
+            if topic == "/joint_states":
+                topic, number = "/cell/states", number + 1
+                data = data.replace(b"joint", b"wheel") if number % 10 == 0 else data
+            cell.write(topic, message.type, message.log_time_ns, data)
+    words = ("--bag", tmp_path / "cell.mcap", "--topic", "cell/states", "--duration", "1", "--json")
+    done = cli_process("demo", *words, "--payload-topic", "/cell/load", "--person-speed", "9")
     assert (done.returncode, done.stderr) == (0, "")
     result = json.loads(done.stdout)
     assert result == {**demo_result(tmp_path / "out" / "demo"), "properties": []}
     page = (tmp_path / "out" / "demo" / "report.html").read_text(encoding="utf-8")
     assert "generated, no real robot" in page
-    assert result["lost"] == 0
-    assert result["received"] == result["sent"] == 250
+    assert (result["sent"], result["foreign"], result["received"], result["lost"]) == (250, 25, 225, 0)
     assert result["force"]["simulated"] is True
     assert result["force"]["lost_samples"] == 0
     assert result["recording"]["topics"]["/joint_states"]["recorded"] == 250
-
-
-def test_demo_counts_other_devices_and_uses_the_topic_and_cell_options(
-    swing_bag: Path, cli_process: Cli, tmp_path: Path
-) -> None:
-    with open_bag(swing_bag) as bag, BagWriter(tmp_path / "cell.mcap") as cell:
-        cell.write("/cell/load", INERTIA, START_NS, bytes(serialize_message(Inertia(m=2.0))))
-        for number, message in enumerate(bag.messages(["/joint_states"])):
-            data = message.data.replace(b"joint", b"wheel") if number % 10 == 9 else message.data
-            cell.write("/cell/states", JOINT_STATE, message.log_time_ns, data)
-    words = ("--bag", tmp_path / "cell.mcap", "--topic", "cell/states", "--duration", "0.5", "--json")
-    done = cli_process("demo", *words, "--payload-topic", "/cell/load", "--person-speed", "9")
-    assert done.returncode == 0, done.stderr
-    result = json.loads(done.stdout)
-    assert (result["sent"], result["foreign"], result["received"], result["lost"]) == (250, 25, 225, 0)
     assert result["cycles_by_verdict"]["VIOLATION"] > 0  # the payload has arrived, and the person is too fast
     assert not any("payload" in reason for reason in result["unknown_reasons"])
 

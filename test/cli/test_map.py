@@ -41,6 +41,7 @@ def test_map_of_a_plane_of_a_six_axis_arm(cli: Cli, refused: Refused, tmp_path: 
     assert "--force" in refused(*words, "--samples", "300")
 
 
+@pytest.mark.usefixtures("unrendered")
 def test_parquet_carries_the_provenance(cli: Cli, tmp_path: Path) -> None:
     # A filter of the cell's velocities does not concern sampled ones.
     params = tmp_path / "cell.yaml"
@@ -70,6 +71,7 @@ def test_refusals(refused: Refused, words: tuple[str, ...], rule: str) -> None:
     assert rule in refused("map", UR5, "-o", "out", *model, *samples, *words)
 
 
+@pytest.mark.usefixtures("unrendered")
 def test_maps_of_several_robots_have_folders_and_a_robot_without_one_is_reported(
     cli: Cli, refused: Refused, tmp_path: Path
 ) -> None:

@@ -68,6 +68,7 @@ def files(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in paths}
 
 
+@pytest.mark.usefixtures("unrendered")
 def test_result_does_not_depend_on_where_it_is_computed(bags: Path, scheduler: str, cli: Cli, tmp_path: Path) -> None:
     commands = {"a.parquet": "assess", "a.csv": "assess", "a.mcap": "assess", "coverage": "coverage", "data": "assess"}
     places = {"one": ("--jobs", "1"), "remote": ("--scheduler", scheduler), "local": ("--jobs", "2")}
@@ -99,6 +100,7 @@ def test_result_does_not_depend_on_where_it_is_computed(bags: Path, scheduler: s
     assert parts.replace_schema_metadata() == table.replace_schema_metadata()
 
 
+@pytest.mark.usefixtures("unrendered")
 def test_validation_does_not_depend_on_where_it_is_computed(scheduler: str, cli: Cli, tmp_path: Path) -> None:
     runs = [share("bags", "campaign") / f"{name}_500g_1" for name in ("300_200", "300_0")]
     for name, place in {"one": ("--jobs", "1"), "two": ("--scheduler", scheduler)}.items():
@@ -115,11 +117,12 @@ def test_maps_do_not_depend_on_where_they_are_computed(scheduler: str, cli: Cli,
     assert len(files(tmp_path / "one")) == 6
 
 
-def test_local_processes_write_the_same_evidence(cli: Cli, tmp_path: Path) -> None:
-    for jobs in ("1", "2"):
-        done = cli("evidence", "-o", jobs, "--impacts", "3", "--jobs", jobs)
+@pytest.mark.usefixtures("unrendered")
+def test_evidence_does_not_depend_on_where_it_is_computed(scheduler: str, cli: Cli, tmp_path: Path) -> None:
+    for name, place in {"one": ("--jobs", "1"), "two": ("--scheduler", scheduler)}.items():
+        done = cli("evidence", "-o", name, "--impacts", "3", *place)
         assert (done.returncode, done.stderr) == (0, "")
-    assert files(tmp_path / "1") == files(tmp_path / "2")
+    assert files(tmp_path / "one") == files(tmp_path / "two")
 
 
 def test_end_of_a_worker_is_survived_and_a_task_that_causes_it_is_reported(tmp_path: Path) -> None:

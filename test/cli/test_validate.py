@@ -11,6 +11,8 @@ from scara_effmass.bags.writer import BagWriter
 from scara_effmass.studies.campaign import Campaign, run_campaign
 from test.cli.conftest import Cli, Refused
 
+pytestmark = pytest.mark.usefixtures("unrendered")  # but for the test in a process of its own
+
 FIGURES = ("force_over_root_mu", "force_over_obstacle_mass", "bland_altman", "exponent")
 FILES = {"report.html", "report.json", *(f"{name}.{suffix}" for name in FIGURES for suffix in ("png", "svg"))}
 

@@ -73,9 +73,17 @@ def live(force: FloatArray, make_block: MakeBlock) -> list[ForceBlock]:
     ]
 
 
+@pytest.fixture(scope="module")
+def elder_impacts(make_block: MakeBlock, busy: Busy) -> list[Impact]:
+    """Impacts that a detector finds from the beginning."""
+    return detect_in(live(busy.force, make_block))
+
+
 @settings(max_examples=60)
 @given(st.integers(0, SIZE - 30_000))
-def test_after_it_has_settled_every_impact_is_the_same(make_block: MakeBlock, busy: Busy, dropped: int) -> None:
+def test_after_it_has_settled_every_impact_is_the_same(
+    make_block: MakeBlock, busy: Busy, elder_impacts: list[Impact], dropped: int
+) -> None:
     blocks = live(busy.force, make_block)
     number, within = divmod(dropped, 1_280)
     cut = blocks[number]
@@ -87,15 +95,15 @@ def test_after_it_has_settled_every_impact_is_the_same(make_block: MakeBlock, bu
     since = FIRST + settled_from(dropped, busy.events)
     # Only the elder one knows how much of the baseline is a load.
     elder, younger = (
-        [impact._replace(load_force=0.0) for impact in detect_in(stream) if impact.onset_sample >= since]
-        for stream in (blocks, [part, *blocks[number + 1 :]])
+        [impact._replace(load_force=0.0) for impact in impacts if impact.onset_sample >= since]
+        for impacts in (elder_impacts, detect_in([part, *blocks[number + 1 :]]))
     )
     assert younger == elder
     assert len(elder) >= 3
 
 
-def test_there_is_something_to_compare(make_block: MakeBlock, busy: Busy) -> None:
-    impacts = detect_in(live(busy.force, make_block))
+def test_there_is_something_to_compare(busy: Busy, elder_impacts: list[Impact]) -> None:
+    impacts = elder_impacts
     assert [impact.rebound for impact in impacts if not impact.held_force] == 9 * [0, 1, 2]
     assert [round(impact.held_force) for impact in impacts if impact.held_force] == [25, 60]
     assert settled_from(0, busy.events) < 21_000

@@ -2,7 +2,6 @@
 """Compare a bag replayed to the live monitor with its offline assessment, bit for bit."""
 
 import os
-import subprocess
 import sys
 from collections.abc import Callable
 from functools import partial
@@ -14,6 +13,7 @@ from scara_effmass_msgs.msg import ContactStates
 from sensor_msgs.msg import JointState as JointStateMessage
 
 from scara_effmass.bags.files import open_bag
+from scara_effmass.cli import main
 from scara_effmass.model.load import load_robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
@@ -21,6 +21,7 @@ from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
 from scara_effmass.values import JointState
 from scara_effmass.wire.contact_states import decode_contact_states
+from test.forked import Forked
 from test.nodes.conftest import Answer, NodeHarness
 from test.nodes.test_monitor_input import bits
 
@@ -55,15 +56,14 @@ def test_replay_and_assess_agree_on_every_joint_state(new_harness: Callable[[], 
     harness.spin_until(lambda: harness.contact_states)  # the subscription has matched
     harness.diagnostic("model", "core", lambda core: core.startswith("compiled kernel"))
     environment = {**os.environ, "ROS_DOMAIN_ID": str(harness.domain)}
-    with subprocess.Popen([COMMAND, "replay", recording, "--rate", "0.25"], env=environment) as replay:
+    with Forked([COMMAND, "replay", recording, "--rate", "0.25"], env=environment) as replay:
         harness.spin_until(lambda: replay.poll() is not None)
     assert replay.returncode == 0
     live = harness.spin_until(partial(responses_when_complete, harness.contact_states))
 
     assessed, params = tmp_path / "assessed.mcap", tmp_path / "params.yaml"
     params.write_text("monitor: {ros__parameters: {timeout: 10.0}}", encoding="utf-8")  # the machine may be busy
-    assess = [COMMAND, "assess", recording, "-o", str(assessed), "--params", str(params)]
-    subprocess.run(assess, check=True, stdout=subprocess.DEVNULL)
+    assert main(["assess", recording, "-o", str(assessed), "--params", str(params)]) == 0
     with open_bag(assessed) as bag:
         offline = [deserialize_message(message.data, ContactStates) for message in bag.messages(["/contact_states"])]
     assert len(live) == len(offline) == JOINT_STATES

@@ -39,6 +39,7 @@ def pages_with(*languages: str) -> list[Path]:
 
 
 @pytest.mark.live  # MuJoCo, and pages with other programs, start processes
+@pytest.mark.usefixtures("unrendered")
 @pytest.mark.parametrize("page", pages_with("sh", "python"), ids=lambda page: page.stem)
 def test_page_runs(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]

@@ -154,6 +154,11 @@ def write_set(
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
+@pytest.fixture(scope="module")
+def files(inputs: FigureInputs, tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    return write_set(inputs, tmp_path_factory.mktemp("figures"))
+
+
 class Page(HTMLParser):
     """Open tags, addresses, pictures and table rows of a page."""
 
@@ -177,14 +182,14 @@ class Page(HTMLParser):
         assert self.open.pop() == tag
 
 
-def test_repeated_figure_set_gives_the_same_files(inputs: FigureInputs, tmp_path: Path) -> None:
-    first, second = (write_set(inputs, tmp_path / folder) for folder in ("one", "two"))
-    assert set(first) == FILES
-    assert first == second
+def test_repeated_figure_set_gives_the_same_files(
+    files: dict[str, bytes], inputs: FigureInputs, tmp_path: Path
+) -> None:
+    assert set(files) == FILES
+    assert files == write_set(inputs, tmp_path)
 
 
-def test_page_is_complete_and_self_contained(inputs: FigureInputs, tmp_path: Path) -> None:
-    files = write_set(inputs, tmp_path)
+def test_page_is_complete_and_self_contained(files: dict[str, bytes]) -> None:
     text = files["index.html"].decode()
     page = Page()
     page.feed(text)
@@ -201,6 +206,7 @@ def test_page_is_complete_and_self_contained(inputs: FigureInputs, tmp_path: Pat
     assert max(result["closed_form_check"][f"{model}_relative_difference"] for model in ("lumped", "full")) < 1e-9
 
 
+@pytest.mark.usefixtures("unrendered")
 def test_existing_file_is_replaced_only_with_overwrite(inputs: FigureInputs, tmp_path: Path) -> None:
     (tmp_path / "claims.json").write_text("mine")
     with pytest.raises(OutputError, match=r"claims\.json: already exists"):

@@ -40,6 +40,7 @@ def test_figures_of_a_scara(tmp_path: Path) -> None:
         make_figures(watched, tmp_path, overwrite=False, advance=lambda _: None, samples=100)
 
 
+@pytest.mark.usefixtures("unrendered")
 def test_robot_without_a_simplified_model_has_no_error_of_it(tmp_path: Path) -> None:
     watched = monitor(share("config", "robots", "panda.urdf"))
     masses = RobotMasses(watched, samples=100)
@@ -53,6 +54,7 @@ def test_robot_without_a_simplified_model_has_no_error_of_it(tmp_path: Path) -> 
     assert all(reason.split("'")[0] in page for reason in summary["left_out"].values())
 
 
+@pytest.mark.usefixtures("unrendered")
 def test_robot_without_inertias_has_the_simplified_model_only(tmp_path: Path) -> None:
     without_inertia = monitor(Path(__file__).parents[1] / "robots" / "scara_icube_tutorial.urdf")
     summary = make_figures(without_inertia, tmp_path, overwrite=False, advance=lambda _: None, samples=100)
