@@ -167,7 +167,8 @@ def _force_column(header: Sequence[str], time: int | None, path: Path, *, has_ti
     candidates = [name for name in others if _unit(name) in UNITS] or others
     if len(candidates) == 1:
         return candidates[0]
-    raise SettingsError(f"{path}: topic is empty: must be one of {', '.join(candidates or header)}")
+    remedy = "" if any(_unit(name) in UNITS for name in candidates) else "; joint states need --joints FILE"
+    raise SettingsError(f"{path}: topic is empty: must be one of {', '.join(candidates or header)}{remedy}")
 
 
 def is_time_name(name: str) -> bool:

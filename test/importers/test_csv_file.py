@@ -151,7 +151,7 @@ def test_samples_at_the_end_of_the_range_are_marked(tmp_path: Path) -> None:
         (f"t (ns),f (N)\n{'9' * 5000},1\n", {}, r"line 2: t \(ns\) = 9+ … 9+: must"),
         ("t (h),f (N)\n0,1\n", {}, r"t \(h\): has the unit h; must be one of s, "),
         ("t,a (N),b (N)\n0,1,2\n", {}, r"topic is empty: must be one of a \(N\), b \(N\)"),
-        ("t,a,b\n0,1,2\n", {"unit": "N"}, "topic is empty: must be one of a, b"),
+        ("t,a,b\n0,1,2\n", {"unit": "N"}, "topic is empty: must be one of a, b; joint states need --joints FILE"),
         ("t,a (N)\n0,1\n", {"topic": "b"}, r"topic = b: must be one of t, a \(N\)"),
         ("t,a (N)\n0,1\n", {"time_column": "x"}, "time_column = x: must be one of t, a"),
         ("t,a (N),a (N)\n0,1,2\n", {"topic": "a (N)"}, "must be a name that only one column has"),
