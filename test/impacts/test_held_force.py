@@ -175,7 +175,7 @@ def test_a_tare_makes_the_load_the_zero(make_block: MakeBlock) -> None:
 
 
 def end_of(impact: Impact, force: FloatArray, rate: float) -> float:
-    """Return the end of `impact` [s]: that of its load, if it stays at rest after the report and thus is the baseline."""
+    """Return the end of `impact` [s], or of its load where that stays at rest after the report."""
     end = impact.onset_sample + impact.duration * rate
     if impact.duration >= MAX_HELD_S:
         end += float(np.argmax(force[math.floor(end) :] < DetectionSettings().threshold))
