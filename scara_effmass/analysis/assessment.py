@@ -235,7 +235,8 @@ def _require_own_joints(bag: Bag, topic: str, monitor: Monitor, count: int) -> N
     if monitor.ignored == count > 0:
         joints = ", ".join(monitor.dynamics.robot.joint_names)
         problem = f"none of its joint states names a joint of the robot ({joints})"
-        raise BagError(f"{bag.path}: {topic}: {problem}{monitor.joint_map_hint}")
+        remedy = "if it is another arm, give its robot file (--robot)"
+        raise BagError(f"{bag.path}: {topic}: {problem}{monitor.joint_map_hint}; {remedy}")
 
 
 def _parts(

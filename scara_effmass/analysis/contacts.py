@@ -154,4 +154,5 @@ def _doubts(contacts: Iterable[Impact], left_out: Iterable[LeftOut], samples: in
         yield "no steady baseline at the end: contacts there are not known"
     largest = max((contact.peak_force for contact in contacts), default=0.0)
     if any(item.reason == TENSION and item.peak_force > largest for item in left_out):
-        yield "the force goes further below the baseline than above it: compression is positive, see --invert"
+        sign = "the force goes further below the baseline than above it, but compression is positive"
+        yield f"{sign}; read the sensor's file with --invert"

@@ -187,7 +187,9 @@ def setting_rows(
         is_chosen = chosen is None or any(part in name for part in chosen)
         if is_chosen and not (changed_only and value == field.default):
             text = getattr(value, "value", value)
-            yield f"{section}: {name}", "(empty)" if text in ("", ()) else text, field.description or ""
+            if isinstance(text, tuple):
+                text = ", ".join(map(str, text))
+            yield f"{section}: {name}", str(text).lower() if isinstance(text, bool) else text, field.description or ""
 
 
 def file_hashes(paths: Iterable[Path]) -> list[tuple[str, str]]:

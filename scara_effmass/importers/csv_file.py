@@ -32,6 +32,7 @@ DIGITS = "must be digits with a decimal point, or one decimal comma in a file se
 
 BRACKETED = re.compile(r".*[(\[]\s*([^()\[\]]*?)\s*[)\]]\s*")
 SUFFIXED = re.compile(r".*_([A-Za-z]+)\s*")
+NUMBER = re.compile(r"[\W_]*\d+")
 REPEATED = re.compile(r"\.\d+$")
 """What pandas appends to a name that another column has."""
 WORD = re.compile(r"[^\W_]+")
@@ -47,7 +48,7 @@ def open_csv(path: Path, settings: ImportSettings) -> ForceFile:
     states units, as in "Force (N)" or "force_n"; times without a unit are in seconds, or in ISO 8601. Without header,
     columns are numbered from 0. Rows without time or force are skipped. Raises BagError or SettingsError.
     """
-    header, rows, delimiter = _read(path, has_header=settings.header)
+    header, rows, delimiter = _read(path, has_header=settings.header, has_times=not settings.rate)
     if settings.rate and settings.time_column:
         raise SettingsError(f"{path}: rate = {settings.rate:g}: must be empty, time_column has the times")
     stated = _column(header, settings.time_column, "time_column", path) if settings.time_column else None
@@ -79,7 +80,7 @@ def open_csv(path: Path, settings: ImportSettings) -> ForceFile:
     return ForceFile(f"{path.name}, {header[force]}", unit, sample_rate, blocks)
 
 
-def _read(path: Path, *, has_header: bool) -> tuple[list[str], Rows, str]:
+def _read(path: Path, *, has_header: bool, has_times: bool) -> tuple[list[str], Rows, str]:
     """Return the header, an iterator over the rows below it with their line numbers, and the delimiter."""
     lines = _lines(path)
     numbered = enumerate(lines)
@@ -90,8 +91,9 @@ def _read(path: Path, *, has_header: bool) -> tuple[list[str], Rows, str]:
     delimiter = max(DELIMITERS, key=partial(_fit, head, has_header=has_header))
     rows = _rows(path, start, chain(head, lines), delimiter)
     line, header = next(rows)
-    if len(header) < 2 and has_header:
-        raise BagError(f"{path}: line {start + 1}: has one column; must have times and force, separated by , ; or tab")
+    if len(header) < 2 and has_times:
+        rule = "must have times and force, separated by , ; or tab; without times, state --rate HZ"
+        raise BagError(f"{path}: line {start + 1}: has one column; {rule}")
     if not has_header:
         return [*map(str, range(len(header)))], chain([(line, header)], rows), delimiter
     if all(_is_number(name, delimiter) for name in header if name):
@@ -106,9 +108,9 @@ def _fit(head: Sequence[str], delimiter: str, *, has_header: bool) -> tuple[floa
         first, *rows = ([cell.strip() for cell in row] for row in csv.reader(head, delimiter=delimiter) if row)
     except (csv.Error, ValueError):
         return -1.0, 0
-    cells = [cell for row in ([] if has_header else [first]) + rows for cell in row if cell]
-    share = sum(_is_number(cell, delimiter) for cell in cells) / len(cells) if cells and len(first) > 1 else 0.0
-    return share, len(first)
+    numbered = [pair for row in ([] if has_header else [first]) + rows for pair in enumerate(row) if pair[1]]
+    numbers = sum(column < len(first) and _is_number(cell, delimiter) for column, cell in numbered)
+    return numbers / max(len(numbered), 1), len(first)
 
 
 def _lines(path: Path) -> Iterator[str]:
@@ -167,7 +169,8 @@ def _force_column(header: Sequence[str], time: int | None, path: Path, *, has_ti
     candidates = [name for name in others if _unit(name) in UNITS] or others
     if len(candidates) == 1:
         return candidates[0]
-    raise SettingsError(f"{path}: topic is empty: must be one of {', '.join(candidates or header)}")
+    remedy = "" if any(_unit(name) in UNITS for name in candidates) else "; joint states need --joints FILE"
+    raise SettingsError(f"{path}: topic is empty: must be one of {', '.join(candidates or header)}{remedy}")
 
 
 def is_time_name(name: str) -> bool:
@@ -194,11 +197,12 @@ def _time_column(header: Sequence[str], force: int, path: Path) -> int:
     if len(times) == 1:
         return times[0]
     if not times:
-        if COUNTER.fullmatch(header[0]):
-            raise SettingsError(
-                f"{path}: {header[0]}: counts, and no column has times; state --rate HZ or --time-column"
-            )
-        return 0
+        first = NUMBER.sub("", header[0])
+        alike = [n for n, name in enumerate(header) if first and NUMBER.sub("", name) == first]
+        if COUNTER.fullmatch(header[0]) or force in alike:
+            rule = "no column has times; state --rate HZ or --time-column"
+            raise SettingsError(f"{path}: {header[0]}: is a count or a value as others: {rule}")
+        return max((n for n in alike if n < force), default=0)
     shared = {n: len(_words(header[n]) & _words(header[force])) for n in times}
     best = [n for n in times if shared[n] == max(shared.values())]
     if len(best) == 1:

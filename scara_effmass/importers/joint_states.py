@@ -141,7 +141,8 @@ def _index(mapping: Path, header: list[str], column: Column, key: str) -> int:
         raise SettingsError(f"{mapping}: {key} = {column}: must be a name, or a number from 0")
     if isinstance(column, str) and header.count(column) != 1:
         rule = f"must be one of {', '.join(header)}" if header else "must be a number without header"
-        raise SettingsError(f"{mapping}: {key} = {column}: {rule}")
+        remedy = "; without times, state --rate HZ" if key == "time" else ""
+        raise SettingsError(f"{mapping}: {key} = {column}: {rule}{remedy}")
     return header.index(column) if isinstance(column, str) else column
 
 

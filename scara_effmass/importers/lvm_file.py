@@ -73,6 +73,10 @@ def _channels(header: dict[Any, Any], segment: dict[str, Any]) -> Iterator[_Chan
     """Yield the channels of a segment. Raises any error for a damaged one."""
     has_x = header.get("X_Columns", "One") != "No"
     x_column = -1
+    columns = sum(name not in {"", X, COMMENT} for name in segment["Channel names"])
+    if columns < segment["Channels"]:
+        problem = f"{columns} of its {segment['Channels']} channels are in columns"
+        raise ValueError(f"{problem}: must be written with X_Columns One")
     for number, name in enumerate(segment["Channel names"]):
         if name == X and has_x:
             x_column = number

@@ -158,7 +158,7 @@ def _mesh_points(shape: ET.Element, where: str, package_dirs: Sequence[Path]) ->
             scale *= 1.0 if unit is None else float(unit[1])
         points = np.array(pin.MeshLoader().load(str(path), scale).vertices(), dtype=float)
     except (StopIteration, OSError):
-        rule = "must be a file that can be read: name the folder of its package by package_dirs"
+        rule = "must be a file that can be read: name the folder of its package by package_dirs (--package-dir)"
         raise RobotError(f"{where}: mesh = {name!r}: {rule}") from None
     except (ValueError, RuntimeError):
         points = np.empty((0, 3))

@@ -214,7 +214,10 @@ def _numbered(name: str) -> str:
 
 
 def suggested_map(reported: Sequence[str], joints: Sequence[str]) -> str:
-    """Return "; try joint_map a=b,..." from the most similar names; empty unless each joint has one of its own."""
+    """Return "; try joint_map a=b,..." from the most similar names; empty unless each joint has one of its own.
+
+    Empty also if the other names continue the numbers of these: then it is an arm with more joints.
+    """
     if not reported or len(reported) > MAX_NAMES:
         return ""
     pairs: dict[str, str] = {}
@@ -224,4 +227,6 @@ def suggested_map(reported: Sequence[str], joints: Sequence[str]) -> str:
         if ratio < MIN_SIMILARITY or ratio == second or best in pairs:
             return ""
         pairs[best] = joint
+    if {_numbered(name) for name in pairs} & {_numbered(name) for name in reported if name not in pairs}:
+        return ""
     return f"; try joint_map {','.join(f'{name}={joint}' for name, joint in pairs.items() if name != joint)}"

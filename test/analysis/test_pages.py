@@ -107,6 +107,12 @@ def test_descriptions_of_settings_are_translated(language: str) -> None:
             assert all(is_known for _, is_known in phrases(description, language)), name
 
 
+def test_values_of_settings_are_words_of_the_language() -> None:
+    rows = {name.removeprefix("v: "): value for name, value, _ in setting_rows("v", ValidationSettings().validator)}
+    assert (rows["obstacle_fixed"], rows["body_regions"], rows["obstacle_mass"]) == ("false", "", 0.0)
+    assert translated("(empty)", "de") == "(leer)"
+
+
 def test_reason_is_translated_with_its_words() -> None:
     text = "held after: 0.507 m/s is above the 0.503 m/s that the force limit of lower_leg allows"
     german = "gehalten nach: 0.507 m/s liegen über den 0.503 m/s, die der Grenzwert (Kraft) von Unterschenkel zulässt"

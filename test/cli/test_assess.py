@@ -383,6 +383,7 @@ def test_wrong_robot_is_refused(swing_bag: Path, refused: Refused, tmp_path: Pat
     robot.write_text(text.replace("name: joint", "name: axis"), encoding="utf-8")
     line = refused("assess", swing_bag, "-o", tmp_path / "a.csv", "--robot", robot)
     assert "none of its joint states names a joint of the robot (axis1, axis2, axis3, axis4)" in line
+    assert "give its robot file (--robot)" in line
 
 
 def test_gaps_and_joint_states_of_other_devices_are_counted(swing_bag: Path, cli: Cli, tmp_path: Path) -> None:

@@ -57,7 +57,7 @@ def test_a_wrong_sign_is_said(cli: Cli, tmp_path: Path) -> None:
     force = np.random.default_rng(0).normal(0.0, 0.1, 8_000)
     force[3_000:3_020] -= 120.0 * np.sin(np.pi * np.arange(20) / 20.0)
     path = written(tmp_path / "force.csv", force)
-    assert "see --invert" in cli("impacts", path).stdout
+    assert "read the sensor's file with --invert" in cli("impacts", path).stdout
     (contact,) = json.loads(cli("impacts", path, "--invert", "--json").stdout)["recordings"][0]["contacts"]
     assert contact["peak_force_n"] == pytest.approx(120.0, abs=1.0)
 

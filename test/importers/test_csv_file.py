@@ -151,7 +151,7 @@ def test_samples_at_the_end_of_the_range_are_marked(tmp_path: Path) -> None:
         (f"t (ns),f (N)\n{'9' * 5000},1\n", {}, r"line 2: t \(ns\) = 9+ … 9+: must"),
         ("t (h),f (N)\n0,1\n", {}, r"t \(h\): has the unit h; must be one of s, "),
         ("t,a (N),b (N)\n0,1,2\n", {}, r"topic is empty: must be one of a \(N\), b \(N\)"),
-        ("t,a,b\n0,1,2\n", {"unit": "N"}, "topic is empty: must be one of a, b"),
+        ("t,a,b\n0,1,2\n", {"unit": "N"}, "topic is empty: must be one of a, b; joint states need --joints FILE"),
         ("t,a (N)\n0,1\n", {"topic": "b"}, r"topic = b: must be one of t, a \(N\)"),
         ("t,a (N)\n0,1\n", {"time_column": "x"}, "time_column = x: must be one of t, a"),
         ("t,a (N),a (N)\n0,1,2\n", {"topic": "a (N)"}, "must be a name that only one column has"),
@@ -243,6 +243,28 @@ def test_a_counter_is_no_time(tmp_path: Path, header: str) -> None:
     blocks = imported(path, rate=500.0)
     assert (len(force_of(blocks)), blocks[0].stamp_ns) == (50, 0)
     assert blocks[0].sample_rate == pytest.approx(500.0)
+
+
+@pytest.mark.parametrize("header", ["X,F,X,F", "x1,y1,x2,y2", "X,F,X.1,F.1"])
+def test_each_block_begins_with_a_column_of_times_by_any_name(tmp_path: Path, header: str) -> None:
+    rows = [f"{n / 1000},1,{n / 100},2" for n in range(200)]
+    path = write(tmp_path / "cell.csv", "\n".join([header, *rows]))
+    assert imported(path, topic="1", unit="N")[0].sample_rate == pytest.approx(1000.0)
+    assert imported(path, topic="3", unit="N")[0].sample_rate == pytest.approx(100.0)
+
+
+def test_values_without_times_are_no_times(tmp_path: Path) -> None:
+    path = write(tmp_path / "cell.csv", "q1,q2,q3\n0,1,2\n1,2,3\n")
+    with pytest.raises(SettingsError, match="no column has times; state --rate HZ or --time-column"):
+        imported(path, topic="q3", unit="N")
+
+
+@pytest.mark.parametrize("mark", [".", ","])
+def test_one_column_needs_a_rate(tmp_path: Path, mark: str) -> None:
+    path = write(tmp_path / "cell.csv", "Force (N)\n" + "".join(f"{n}{mark}5\n" for n in range(50)))
+    with pytest.raises(BagError, match=r"has one column; .*; without times, state --rate HZ"):
+        imported(path)
+    assert force_of(imported(path, rate=1000.0)) == [n + 0.5 for n in range(50)]
 
 
 def test_constant_rate_counts_rows_without_a_value_as_lost(tmp_path: Path) -> None:

@@ -73,6 +73,7 @@ def test_positions_alone_give_no_velocity(tmp_path: Path) -> None:
         (f"{HEADER}\n1e30,1,2,3,4,5,6", MAPPING, "line 2: must have numbers"),
         (HEADER, MAPPING, "log.csv: has no rows of numbers"),
         ("", MAPPING, "map.yaml: time = t: must be"),
+        ("a,b,c\n1,2,3", MAPPING, "map.yaml: time = t: must be one of a, b, c; without times, state --rate HZ"),
         ("t,a,b\n1,2,3", MAPPING, "map.yaml: joints.joint3.position = c: must be one of t, a, b"),
         (HEADER, MAPPING.replace("velocity: vb, ", ""), "velocity must be given for all joints, or for none"),
         (HEADER, MAPPING.replace("deg", "degrees"), "map.yaml: joints.joint1.unit = 'degrees'"),

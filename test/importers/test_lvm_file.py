@@ -79,6 +79,10 @@ class TestFile:
         (tmp_path / "a.lvm.pkl").write_bytes(b"cos\nsystem\n(S'touch /tmp/never'\ntR.")
         assert len(force_of(imported(write(tmp_path / "a.lvm", text())))) == 3
 
+    def test_channels_that_the_columns_do_not_hold_are_no_silent_loss(self, tmp_path: Path) -> None:
+        with pytest.raises(BagError, match="2 of its 3 channels are in columns"):
+            imported(write(tmp_path / "a.lvm", text().replace("Channels\t2", "Channels\t3")))
+
     @pytest.mark.parametrize("content", ["", "LabVIEW Measurement\n", text().replace("Delta_X", "No"), text()[:300]])
     def test_damaged_file_is_refused_in_one_line(self, tmp_path: Path, content: str) -> None:
         with pytest.raises((BagError, SettingsError)) as error:

@@ -22,6 +22,7 @@ from scara_effmass.iso15066 import (
     speed_limit_of_mass,
     transferred_energy,
 )
+from scara_effmass.iso15066.allowable_speed import max_speed
 from scara_effmass.settings import ContactType, Drives, MonitorSettings
 
 if TYPE_CHECKING:
@@ -76,6 +77,18 @@ def test_reference_speeds(contact: str, region: str, light: float, heavy: float,
         found = speed_limit_of(mass, contact=contact, body_regions=[region])
         assert found.allowable_speed == pytest.approx(expected, abs=0.0005)
         assert (found.limit.region, found.criterion) == (region, criterion)
+
+
+def test_damping_and_friction_lower_the_speed_as_they_raise_the_force() -> None:
+    elastic = speed_limit_of(2.77, body_regions=["chest"]).allowable_speed
+    rubbing = speed_limit_of(2.77, body_regions=["chest"], contact_friction=0.75).allowable_speed
+    assert rubbing == pytest.approx(elastic / 1.25)
+
+
+@pytest.mark.parametrize("speed", [0.3, 0.9, 2.0])
+def test_a_force_that_grows_reaches_the_limit_at_the_speed(speed: float) -> None:
+    found = max_speed(speed, 2.0)
+    assert found * (1.0 + 2.0 * found) == pytest.approx(speed)
 
 
 @given(st.lists(any_limit, min_size=1, max_size=8).map(tuple), masses, uncertainties)

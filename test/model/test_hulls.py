@@ -304,7 +304,7 @@ class TestMeshes:
         with pytest.raises(RobotError) as caught:
             upper_hull(f'<mesh filename="{name}"/>', package_dirs=[tmp_path])
         assert str(caught.value).startswith(f"arm.urdf: link upper: collision: mesh = {name!r}: must be a file")
-        assert "package_dirs" in str(caught.value)
+        assert "by package_dirs (--package-dir)" in str(caught.value)
 
     @pytest.mark.parametrize(
         ("file", "content"),

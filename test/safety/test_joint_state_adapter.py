@@ -142,6 +142,12 @@ def test_similar_names_are_suggested_only_one_to_one() -> None:
     assert suggested_map([f"joint{i}" for i in range(65)], ["joint1"]) == ""
 
 
+def test_no_map_is_suggested_for_an_arm_with_more_joints() -> None:
+    gen3, scara = [f"gen3_joint_{i}" for i in range(1, 8)], [f"joint{i}" for i in range(1, 5)]
+    assert suggested_map(gen3, scara) == ""
+    assert suggested_map([*gen3[:4], "gripper"], scara).startswith("; try joint_map gen3_joint_1=joint1,")
+
+
 def test_missing_joint_and_silence_suggest_a_map(scara: RobotDynamics) -> None:
     monitor = Monitor(scara, settings_of())
     decision = monitor.assess(JointState(NOW, ("joint1", "joint2", "joint3", "joint_4"), np.zeros(4), np.ones(4)), NOW)
