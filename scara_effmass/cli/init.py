@@ -29,7 +29,7 @@ from scara_effmass.model.urdf import CHAIN_NOTES
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.safety.assumptions import Assumptions, assumptions_of, name_of
-from scara_effmass.settings import DaqSettings, MonitorSettings, ValidatorSettings
+from scara_effmass.settings import WHOLE_ARM, DaqSettings, MonitorSettings, ValidatorSettings
 from scara_effmass.settings.loading import flat_fields
 from scara_effmass.wire.topics import JOINT_STATES
 
@@ -82,7 +82,9 @@ def run(args: argparse.Namespace) -> int:
 def _stated(settings: MonitorSettings, dynamics: RobotDynamics) -> tuple[MonitorSettings, Assumptions]:
     """Return `settings` that state what the file holds and accept an unknown rotor inertia, and what is assumed."""
     values = {name: getattr(settings, name) for name in _cell_names() if name in MonitorSettings.model_fields}
-    values["contact_points"] = settings.contact_points or dynamics.contact_points
+    named = tuple(name for name in dynamics.contact_points if name not in dynamics.robot.hulls)
+    whole = (WHOLE_ARM,) if dynamics.robot.hulls else ()
+    values["contact_points"] = settings.contact_points or (*named, *whole)
     stated = settings.model_copy(update=values)
     if Assumption.ROTOR_INERTIA in assumptions_of(dynamics.robot, stated).assumed:
         accepted = (*settings.accept_assumptions, name_of(Assumption.ROTOR_INERTIA))

@@ -76,7 +76,8 @@ def load_urdf(path: Path, settings: MonitorSettings) -> RobotDescription:
 def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> RobotDescription:
     """Return what the URDF `text`, such as a robot_description, states; `origin` names it in errors.
 
-    `settings.contact_points` are links, or points in their frames (default: the tip of the longest chain). The model
+    `settings.contact_points` are links, or points in their frames (default: the tip of the longest chain, and every
+    link as a whole if the geometry of all of them can be read and the contact normal is not known). The model
     moves the joints from the base through every contact point to its `UrdfTree.tip_beyond`. All other joints, and
     those that match a glob of `settings.locked_joints`, are fixed: the mass behind them counts, their motion does not.
     `settings.armature` wins over the rotor inertia of the URDF. Raises RobotError.
@@ -109,10 +110,8 @@ def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> RobotDescri
             raise RobotError(f"{origin}: contact_points = {entry!r}: must not be fixed to the base{locked}")
         pose = frames[link].placement * pin.SE3(np.eye(3), np.array(point.at))
         placed.append((point.name, frames[link].parentJoint, pose))
-    hulls: dict[str, FloatArray] = {}
-    if WHOLE_ARM in settings.contact_points:
-        hulls, hull_notes = _hulls(tree, frames, placed, settings)
-        notes += hull_notes
+    hulls, hull_notes = _hulls(tree, frames, placed, settings)
+    notes += hull_notes
     moving = [link for link in tree.stated if frames[link.name].parentJoint > 0]
     mass = sum(link.mass for link in moving)
     if not math.isclose(sum(body.mass for body in list(model.inertias)[1:]), mass, rel_tol=1e-9):
@@ -142,14 +141,22 @@ def _hulls(
 ) -> tuple[dict[str, FloatArray], list[str]]:
     """Return the hulls of the links that `whole_arm` watches, and notes; append those links to `placed`.
 
-    The hull of a link that is a contact point, too, holds that point. Raises RobotError.
+    The hull of a link that is a contact point, too, holds that point. Raises RobotError for geometry that cannot be
+    read, unless it is not asked for.
     """
+    if WHOLE_ARM not in (settings.contact_points or (WHOLE_ARM,)) or settings.contact_normal != "worst":
+        return {}, []
     # scipy.spatial takes long to import.
     from scara_effmass.model.hulls import outer_vertices, package_folders, urdf_hulls  # noqa: PLC0415
 
     path = Path(tree.origin)
     folders = package_folders(path if path.is_file() else None, [Path(folder) for folder in settings.package_dirs])
-    found = urdf_hulls(tree.links, tree.origin, frames, folders)
+    try:
+        found = urdf_hulls(tree.links, tree.origin, frames, folders)
+    except RobotError as error:
+        if settings.contact_points:
+            raise
+        return {}, [f"only the tip is watched, not whole_arm: {str(error).removeprefix(f'{tree.origin}: ')}"]
     points = {name: (joint, pose) for name, joint, pose in placed}
     hulls, left_out = dict[str, FloatArray](), list[str]()
     for hull in found:

@@ -72,6 +72,7 @@ RULES: Mapping[Assumption, Rule] = {
         parameters=("contact_points",),
         text="contact points not stated, only the end of the arm is watched: --contact-point whole_arm, or each that "
         "can hit",
+        is_stated=lambda robot: bool(robot.hulls),
     ),
     Assumption.MASSES: Rule(
         is_permissive=True,

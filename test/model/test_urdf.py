@@ -88,7 +88,7 @@ class TestRobotFiles:
         assert ("placeholders" in robot.inertias_reason) == bool(doubt)
         assert doubt in robot.inertias_reason
         dynamics = RobotDynamics(robot)
-        (masses,) = dynamics.at(robot.sample_configurations()[5], np.ones(joints)).contacts
+        masses, *_ = dynamics.at(robot.sample_configurations()[5], np.ones(joints)).contacts
         assert np.isnan(masses.full) == bool(doubt)
 
     def test_wx200_gripper_is_fixed_and_placeholders_are_noted(self, load_urdf_file: Callable[..., Robot]) -> None:

@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from scara_effmass.codes import Assumption
 from scara_effmass.errors import RobotError, SettingsError
 from scara_effmass.model.load import load_robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
-from scara_effmass.safety.assumptions import scope
+from scara_effmass.safety.assumptions import assumptions_of, scope
 from scara_effmass.settings import MonitorSettings, checked
 from scara_effmass.share import share
 
@@ -53,6 +54,34 @@ def test_every_link_with_geometry_is_a_contact(arm: Path) -> None:
     left_out = load_robot(arm, MonitorSettings(contact_points=("whole_arm",), contact_links=("*arm",)))
     assert RobotDynamics(left_out).contact_points == ("camera", "upper_arm", "forearm")
     assert "links that contact_links leaves out: camera" in left_out.notes
+
+
+def test_a_urdf_is_watched_as_a_whole_unless_points_or_a_normal_are_stated(arm: Path) -> None:
+    settings = MonitorSettings()
+    robot = load_robot(arm, settings)
+    assert RobotDynamics(robot).contact_points == ("camera", "upper_arm", "forearm")
+    assert {*robot.hulls} == {"camera", "upper_arm", "forearm"}
+    assert Assumption.CONTACT_POINTS not in assumptions_of(robot, settings).assumed
+    assert not load_robot(arm, MonitorSettings(contact_points=("flange",))).hulls
+    settings = MonitorSettings(contact_normal="0 0 1")
+    robot = load_robot(arm, settings)
+    assert not robot.hulls
+    assert Assumption.CONTACT_POINTS in assumptions_of(robot, settings).assumed
+
+
+def test_without_a_mesh_only_the_tip_is_watched_which_is_an_assumption(arm: Path) -> None:
+    text = arm.read_text(encoding="utf-8").replace('<box size="0.3 0.1 0.1"/>', '<mesh filename="package://p/a.stl"/>')
+    arm.write_text(text, encoding="utf-8")
+    settings = MonitorSettings()
+    robot = load_robot(arm, settings)
+    assert RobotDynamics(robot).contact_points == ("camera",)
+    assert not robot.hulls
+    rule = "must be a file that can be read: name the folder of its package by package_dirs (--package-dir)"
+    note = f"link upper_arm: collision: mesh = 'package://p/a.stl': {rule}"
+    assert f"only the tip is watched, not whole_arm: {note}" in robot.notes
+    assert Assumption.CONTACT_POINTS in assumptions_of(robot, settings).assumed
+    with pytest.raises(RobotError, match=re.escape(note)):
+        load_robot(arm, MonitorSettings(contact_points=("whole_arm",)))
 
 
 def test_the_worst_place_of_a_link_is_reported_where_it_is(arm: Path) -> None:
