@@ -41,7 +41,7 @@ from scara_effmass.safety.assumptions import assumptions_of
 from scara_effmass.safety.joint_state_adapter import MAX_LAYOUTS, JointStateAdapter, Layout, suggested_map
 from scara_effmass.safety.reasons import ReasonTexts
 from scara_effmass.safety.second_channel import ReferenceChannel
-from scara_effmass.settings import MonitorSettings
+from scara_effmass.settings import WHOLE_ARM, MonitorSettings
 from scara_effmass.values import Decision, FloatArray, JointState, Payload, Verdict
 
 CHECK_INTERVAL = 2000
@@ -167,6 +167,11 @@ class Monitor:
         """Return the limits of `settings`. Raises LimitError or RobotError for what `apply` refuses."""
         if settings.payload != self.settings.payload:
             self.dynamics.robot.rebuild(settings)
+        if self.dynamics.robot.hulls and settings.contact_normal != "worst":
+            raise RobotError(
+                f"contact_normal = {settings.contact_normal!r}: must be worst where links are watched as a whole: "
+                f"no bound holds for a known one; name contact_points in place of {WHOLE_ARM}"
+            )
         self.dynamics.frame_index(settings.contact_normal_frame, "contact_normal_frame")
         self.dynamics.frame_index(settings.test_direction_frame, "test_direction_frame")
         self.dynamics.frame_index(settings.person_direction_frame, "person_direction_frame")

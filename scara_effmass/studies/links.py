@@ -54,6 +54,7 @@ def random_motions(robot: Robot, count: int, seed: int) -> tuple[FloatArray, Flo
 def missed(path: Path, settings: MonitorSettings, count: int, seed: int) -> Missed:
     """Return what the tip of a URDF misses with random motions at the speed that it is allowed."""
     whole = settings.model_copy(update={"contact_points": (WHOLE_ARM,)})
+    settings = settings.model_copy(update={"contact_links": ()})
     tip, arm = (Monitor(RobotDynamics(load_robot(path, s)), s) for s in (settings, whole))
     q, qd = random_motions(load_robot(path, settings), count, seed)
     for _ in range(8):  # the allowable speed depends a little on the speed

@@ -69,6 +69,14 @@ def test_a_urdf_is_watched_as_a_whole_unless_points_or_a_normal_are_stated(arm: 
     assert Assumption.CONTACT_POINTS in assumptions_of(robot, settings).assumed
 
 
+def test_a_known_normal_cannot_be_set_while_links_are_watched_as_a_whole(arm: Path) -> None:
+    settings = MonitorSettings()
+    monitor = Monitor(RobotDynamics(load_robot(arm, settings)), settings)
+    with pytest.raises(RobotError, match="contact_normal = 'velocity': must be worst where links are"):
+        monitor.apply(MonitorSettings(contact_normal="velocity"))
+    assert monitor.settings == settings
+
+
 def test_without_a_mesh_only_the_tip_is_watched_which_is_an_assumption(arm: Path) -> None:
     text = arm.read_text(encoding="utf-8").replace('<box size="0.3 0.1 0.1"/>', '<mesh filename="package://p/a.stl"/>')
     arm.write_text(text, encoding="utf-8")
