@@ -119,7 +119,7 @@ class Summary:
 
     A verdict lasts until the next joint state, at most for `timeout_ns`; the rest of a longer gap is UNKNOWN. `last` is
     the time and verdict of the last cycle. In `reasons` "…" stands for each number; `codes` and `numbers` hold the code
-    of each reason and the ranges of its numbers.
+    of each reason and the ranges of its numbers. `deciding` counts the cycles that are not UNKNOWN by that contact.
     """
 
     timeout_ns: int
@@ -130,6 +130,7 @@ class Summary:
     codes: dict[str, Reason] = field(default_factory=dict)
     numbers: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
     mass_models: Counter[str] = field(default_factory=Counter)
+    deciding: Counter[str] = field(default_factory=Counter)
     gaps: int = 0
     max_gap_ns: int = 0
     gaps_ns: int = 0
@@ -151,6 +152,7 @@ class Summary:
                     code = Reason(int(contacts["reason"][int(np.argmax(indices == index)), point, CODE]))
                     self._count_reason(NUMBER.sub("…", text), code, count, [(number, number) for number in numbers])
             self.mass_models += mass_model_counts(contacts[:, point], states.assessments.labels, decides & ~unknown)
+            self.deciding[states.assessments.points[point]] += int((decides & ~unknown).sum())
         self._pass_time(states.log_time_ns, shown)
 
     def _find_tightest(self, states: AssessedStates, source: str) -> None:
@@ -193,6 +195,7 @@ class Summary:
         self.cycles += other.cycles
         self.time_ns += other.time_ns
         self.mass_models += other.mass_models
+        self.deciding += other.deciding
         for reason, count in other.reasons.items():
             self._count_reason(reason, other.codes[reason], count, other.numbers[reason])
         self.gaps += other.gaps
@@ -223,6 +226,7 @@ class Summary:
             "unknown_reasons": self.reason_counts(),
             "remedy": self.remedy,
             "mass_models": dict(self.mass_models.most_common()),
+            "deciding_contacts": dict(self.deciding.most_common()),
             "tightest": self.tightest and self.tightest.as_dict(),
         }
 
@@ -238,6 +242,9 @@ class Summary:
             yield "gaps", f"{self.gaps} longer than the timeout, the longest {self.max_gap_ns / 1e9:.3f} s"
         if self.tightest is not None:
             yield from self.tightest.lines()
+        if len(self.deciding) > 1 and (total := self.deciding.total()):
+            shares = (f"{point} {count / total:.1%}" for point, count in self.deciding.most_common() if count)
+            yield "decided by", ", ".join(shares)
         for model, count in self.mass_models.most_common():
             yield "mass model", f"{model} ({count / self.mass_models.total():.1%})"
         reasons = list(self.reason_counts().items())

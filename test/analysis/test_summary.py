@@ -51,6 +51,16 @@ def test_time_between_recordings_is_not_counted() -> None:
     assert (summary.gaps, sum(summary.time_ns.values())) == (0, 0)
 
 
+def test_cycles_are_counted_by_the_contact_that_decides() -> None:
+    summary = Summary(TIMEOUT_NS)
+    cycles = [(Verdict.OK, Verdict.WARN), (Verdict.WARN, Verdict.OK), (Verdict.OK, Verdict.VIOLATION)]
+    for first, second in [*cycles, (Verdict.UNKNOWN, Verdict.OK)]:
+        contacts = contact(first), contact(second, point="link2")
+        summary.add(states_of(decision_on(*contacts), log_time_ns=0))
+    assert summary.as_dict()["deciding_contacts"] == {"link2": 2, "tool": 1}
+    assert ("decided by", "link2 66.7%, tool 33.3%") in summary.lines()
+
+
 @given(st.lists(st.tuples(st.sampled_from(Verdict), st.integers(0, 300)), min_size=1, max_size=20))
 def test_merged_summaries_are_that_of_one_recording(cycles: list[tuple[Verdict, int]]) -> None:
     whole, merged = Summary(TIMEOUT_NS), Summary(TIMEOUT_NS)
