@@ -7,6 +7,7 @@ import argparse
 import math
 import os
 import platform
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from importlib import import_module
@@ -22,10 +23,11 @@ from scara_effmass.analysis.lumped_model import compare_models
 from scara_effmass.cli.console import LEVEL_STYLES, print_findings, print_json, print_table, printer
 from scara_effmass.cli.options import load_dynamics, monitor_settings
 from scara_effmass.codes import ModelCode
-from scara_effmass.errors import DaqError, LimitError, RobotError, SettingsError
+from scara_effmass.errors import DaqError, EffmassError, LimitError, RobotError, SettingsError
 from scara_effmass.iso15066 import EDITION, TABLE_HASH, limits_for
 from scara_effmass.safety.assumptions import assumptions_of, deciding_mass, mass_source, scope
 from scara_effmass.settings import DaqSettings, ForceSourceKind, MassModel, MonitorSettings, load_settings
+from scara_effmass.values import Verdict
 
 if TYPE_CHECKING:
     from scara_effmass.reference import RobotDynamics
@@ -77,7 +79,7 @@ def cell_results(settings: MonitorSettings) -> tuple[list[CheckResult], RobotDyn
     if settings.payload_topic:
         text = f"by topic {settings.payload_topic}, not in the masses here; UNKNOWN until it arrives"
         results.append(CheckResult("note", "payload", text))
-    results += [*_robot(dynamics), *_comparison(dynamics, settings.model_margin)]
+    results += [*_robot(dynamics), *_tightest(dynamics, settings), *_comparison(dynamics, settings.model_margin)]
     results.append(_mass_model(dynamics, settings.effective_mass_model))
     return [*results, *_assumptions(dynamics, settings)], dynamics
 
@@ -237,6 +239,27 @@ def _home_masses(dynamics: RobotDynamics) -> Iterator[tuple[str, str]]:
                 values = np.diagonal(mobility).tolist()
                 axes = " / ".join(f"{1.0 / value:.3g}" if value > 1e-9 else "no motion" for value in values)
                 yield contact.name, f"{code.name.lower()} mass {axes} kg along x / y / z of {dynamics.robot.base_frame}"
+
+
+def _tightest(dynamics: RobotDynamics, settings: MonitorSettings) -> Iterator[CheckResult]:
+    """Say which contact has the largest share of its allowable speed in how many random motions."""
+    from scara_effmass.safety import Monitor  # noqa: PLC0415 - loads numba
+
+    if len(dynamics.contact_points) == 1:
+        return
+    try:
+        monitor = Monitor(dynamics, settings)
+    except EffmassError:  # a line of its own says so
+        return
+    q = dynamics.robot.sample_configurations(COMPARED_POSES)
+    qd = np.random.default_rng(1).normal(size=q.shape)
+    contacts = monitor.assess_configurations(q, qd).contacts
+    known = contacts[(contacts["verdict"] != Verdict.UNKNOWN).all(axis=1)]
+    tightest = np.argmin(known["allowable_speed"] / np.maximum(known["speed"], math.ulp(1.0)), axis=1)
+    counts = Counter(dynamics.contact_points[index] for index in tightest.tolist())
+    if counts:
+        shares = ", ".join(f"{point} {count / len(known):.0%}" for point, count in counts.most_common())
+        yield CheckResult("ok", "tightest contact", f"{shares} of {len(known)} random motions")
 
 
 def _comparison(dynamics: RobotDynamics, margin: float) -> Iterator[CheckResult]:

@@ -120,6 +120,16 @@ def _in_grams(row: re.Match[str]) -> str:
     return f"- {{name: link{row[1]}, mass: {mass}, com: [{com}, 0.0, 0.0]}}"
 
 
+def test_contact_that_decides_most_random_motions_comes_first(capsys: pytest.CaptureFixture[str]) -> None:
+    rows = texts(run_doctor(capsys, "--contact-point", "near=link1: -0.1 0 0", "--contact-point", "tool")[1], "ok")
+    assert rows["tightest contact"] == "tool 100%, near 0% of 300 random motions"
+    whole = texts(run_doctor(capsys, "--contact-point", "whole_arm")[1], "ok")["tightest contact"]
+    shares = [int(share) for share in re.findall(r"(\d+)%", whole)]
+    assert shares == sorted(shares, reverse=True)
+    assert 98 <= sum(shares) <= 102
+    assert "tightest contact" not in texts(run_doctor(capsys, "--contact-point", "tool")[1], "ok")
+
+
 def test_large_contact_area_gives_a_note(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "contact area" not in texts(run_doctor(capsys)[1], "note")
     params = tmp_path / "cell.yaml"
