@@ -276,7 +276,7 @@ class Detector:
         force = samples - zero.force
         for start, stop in true_runs((force >= -zero.threshold) & (force <= QUIET_LEVEL * zero.threshold)).tolist():
             if stop - start >= length and longest_flat_run(samples[start:stop]) < zero.flat_run:
-                return first + start
+                return first + int(start)
         return None
 
     def _settle_again(self, release: int) -> list[Impact]:
