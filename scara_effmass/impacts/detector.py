@@ -54,8 +54,9 @@ REST_TIME = 0.5
 """A load that is at rest for this time [s] becomes the baseline: its medians vary by at most REST_SHARE of the
 threshold. A hand is never that still."""
 REST_SHARE = 0.1
-RELEASED_TIME = 0.1
-"""Time at the earlier baseline [s] that ends a load."""
+RELEASED_TIME = 0.04
+"""Time at the baseline before a load [s] that ends the load; at least MIN_RELEASED_SAMPLES samples."""
+MIN_RELEASED_SAMPLES = 8
 RESPONSE_TIME = 0.5
 """A tensile pulse within this time after a contact [s] is a response of sensor, converter or structure to it."""
 
@@ -184,8 +185,8 @@ class Detector:
         self._end = self._last = -math.inf  # of the latest impact, and of the latest contact
         self._rebound = 0
         self._frame_size = MIN_FRAME_SAMPLES
-        self._load_frames = self._rest_frames = self._released_frames = BASELINE_FRAMES
-        self._unloaded: Baseline | None = None  # the baseline before the load that the present one includes
+        self._load_frames = self._rest_frames = BASELINE_FRAMES
+        self._unloaded: Baseline | None = None  # the latest baseline that includes no load
         self._level = LoadLevel(self._settings.threshold)
         self._held: HeldContact | None = None
         self._slow: HeldContact | None = None
@@ -204,7 +205,6 @@ class Detector:
         self._first_search = True
         self._is_loaded = False  # whether a sustained contact may still continue
         self._later_load = False  # whether it goes on after its report
-        self._frames_at_zero = 0
         self._unseen = math.inf, -math.inf, 0  # lowest level, largest force and its time before the first baseline
 
     def _join(self, block: ForceBlock) -> list[Impact]:
@@ -221,13 +221,9 @@ class Detector:
         # The size is doubled in whole steps, so that sample rates that differ by a clock error have the same frames.
         doublings = max(0, round(math.log2(FRAME_TIME * self._rate / MIN_FRAME_SAMPLES)))
         self._frame_size = MIN_FRAME_SAMPLES << doublings
-        self._load_frames, self._rest_frames, self._released_frames = (
-            max(least, round(seconds * self._rate / self._frame_size))
-            for seconds, least in (
-                (self._settings.longest, BASELINE_FRAMES),
-                (REST_TIME, BASELINE_FRAMES),
-                (RELEASED_TIME, 1),
-            )
+        self._load_frames, self._rest_frames = (
+            max(BASELINE_FRAMES, round(seconds * self._rate / self._frame_size))
+            for seconds in (self._settings.longest, REST_TIME)
         )
         self._begin(block.first_sample)
         return impacts
@@ -250,8 +246,8 @@ class Detector:
         """Search for a baseline; once it is known, process the held samples again. Return a contact that ends."""
         if frame.is_present:
             self._candidates.append(frame)
-        if self._held is not None and self._is_released(frame, self._unloaded or self._baseline):
-            return self._settle_again()
+        if self._held is not None and (release := self._find_release(frame, self._zero, self._held_from)) is not None:
+            return self._settle_again(release)
         hold = BASELINE_FRAMES * self._frame_size
         if self._first_search:
             hold = max(round(self._settings.longest * self._rate), 2 * hold)
@@ -264,38 +260,54 @@ class Detector:
             impacts = self._discard(self._frame_end(self._held_from))
         return impacts
 
-    def _is_released(self, frame: Frame, unloaded: Baseline) -> bool:
-        """Return whether the last frames, and now `frame`, are at the baseline before a load."""
-        low = unloaded.force + QUIET_LEVEL * unloaded.threshold
-        is_low = frame.is_present and float(np.median(frame.samples)) <= low
-        self._frames_at_zero = self._frames_at_zero + 1 if is_low and unloaded.is_quiet(frame) else 0
-        return self._frames_at_zero == self._released_frames
+    @property
+    def _zero(self) -> Baseline:
+        """Baseline without the load or the slow change that the present one includes."""
+        includes_load = self._level.load > 0.0 or self._slow is not None
+        return self._unloaded if includes_load and self._unloaded is not None else self._baseline
 
-    def _settle_again(self) -> list[Impact]:
-        """Return the contact that was released, and continue with the baseline before it."""
-        impacts = self._discard(max(self._processed - self._released_frames * self._frame_size, self._held_from))
+    def _find_release(self, frame: Frame, zero: Baseline, earliest: int) -> int | None:
+        """Return the sample from `earliest` on since which the force is at `zero`; None if it is not in `frame`."""
+        if frame.low > zero.force + QUIET_LEVEL * zero.threshold:
+            return None  # fast path
+        length = max(round(RELEASED_TIME * self._rate), MIN_RELEASED_SAMPLES)
+        first = max(self._processed - self._frame_size - length, earliest, self._buffer.first)
+        samples = self._buffer.samples(first, self._processed)
+        force = samples - zero.force
+        for start, stop in true_runs((force >= -zero.threshold) & (force <= QUIET_LEVEL * zero.threshold)).tolist():
+            if stop - start >= length and longest_flat_run(samples[start:stop]) < zero.flat_run:
+                return first + int(start)
+        return None
+
+    def _settle_again(self, release: int) -> list[Impact]:
+        """Return the contact that ends at the `release`, and continue with the baseline before it."""
+        impacts = self._discard(release)
         self._settled = True
-        self._counted = max(self._counted, self._held_from + 1)
-        return impacts + self._unload(self._held_from)
+        self._counted = max(self._counted, release + 1)
+        return impacts + self._unload(release)
 
-    def _release(self) -> list[Impact]:
-        """Return the contacts before the release of the load, and continue with the baseline before it."""
+    def _release(self, release: int) -> list[Impact]:
+        """Return the contacts before the `release` of the load, and continue with the baseline before it."""
         start = self._segment_start
-        released = max(self._processed - self._released_frames * self._frame_size, self._buffer.first, start or 0)
         impacts: list[Impact] = []
-        if start is not None and start < released:
-            if self._held is not None:
-                self._held.extend(self._buffer.samples(start, released), start)
-            impacts = self._report(self._classify(start, released), start)
-        return impacts + self._unload(released)
+        if start is not None and start < release:
+            self._extend(start, release)
+            impacts = self._report(self._classify(start, release), start)
+        return impacts + self._unload(release)
 
-    def _unload(self, index: int) -> list[Impact]:
-        """Continue at sample `index` without the load; return the contact that left it."""
-        self._processed, self._segment_start, self._frames_at_zero = index, None, 0
-        if self._unloaded is not None:
-            self._baseline, self._unloaded = self._unloaded, None
+    def _extend(self, start: int, stop: int) -> None:
+        """Add the samples [start, stop) to the contact that stays and to the slow change."""
+        for contact in (self._held, self._slow):
+            if contact is not None:
+                contact.extend(self._buffer.samples(start, stop), start)
+
+    def _unload(self, release: int) -> list[Impact]:
+        """Continue at sample `release` without the load; return the contact that left it."""
+        self._baseline = self._zero
+        self._processed, self._segment_start = release, None
+        self._buffer.discard_before(release)
         self._level.load = 0.0
-        return self._end_held()
+        return self._end_held() + self._end_slow(at_once=True)
 
     def _discard(self, until: int) -> list[Impact]:
         """Account for the samples before sample `until`, which no baseline reaches; return a contact that took long."""
@@ -310,9 +322,9 @@ class Detector:
             low, high, high_ns = self._unseen
             level = float(np.nanmedian(samples)) if np.isfinite(samples).any() else math.inf
             self._unseen = (min(low, level), *((peak, stamp_ns) if peak > high else (high, high_ns)))
-        elif peak - self._baseline.force > self._baseline.threshold:
+        elif (size := peak - min(self._zero.force, self._level.zero)) > self._baseline.threshold:
             reason = LATER_LOAD if self._is_loaded else NO_BASELINE
-            self.left_out.add(reason, peak - self._baseline.force, stamp_ns, not self._later_load)
+            self.left_out.add(reason, size, stamp_ns, not self._later_load)
             self._later_load = True
         return []
 
@@ -359,7 +371,7 @@ class Detector:
             # The recording may begin just before a load.
             levels = (frame.median_and_deviation[0] for frame in self._candidates)
             self._level.settle(min([baseline.force, self._unseen[0], *levels]))
-        earlier, self._baseline = self._unloaded or self._baseline, baseline
+        earlier, self._baseline = self._zero, baseline
         self._settled = True
         self._processed = self._held_from
         if not self._first_search:
@@ -367,7 +379,10 @@ class Detector:
         is_back = baseline.force <= self._level.zero + self._level.load + self._settings.threshold
         slow = self._end_slow(at_once=True) if is_back else []
         self._level.settle(baseline.force)
-        self._unloaded = earlier if self._level.load and not self._first_search else None
+        if not self._level.load:
+            self._unloaded = baseline
+        else:
+            self._unloaded = None if self._first_search else earlier
         return slow if self._level.load else self._end_held() + slow
 
     def _count_unseen(self, level: float, threshold: float) -> None:
@@ -380,15 +395,14 @@ class Detector:
         """Report the segment from `start`, and search for another baseline from here on."""
         sustained = self.sustained_contacts
         contacts = self._classify(start, self._processed, TRANSIENT_S if at_rest else None)
-        if self._held is not None and not contacts:  # its load goes
-            self._held.extend(self._buffer.samples(start, self._processed), start)
+        if not contacts:  # a load goes
+            self._extend(start, self._processed)
         goes_on = bool(contacts) and self._goes_on(contacts[-1], start)
         impacts = self._report(contacts, start, goes_on=goes_on)
         self._is_loaded |= self.sustained_contacts > sustained
         self._settled = self._first_search = False
         self._held_from = self._processed
         self._segment_start = None
-        self._frames_at_zero = 0
         return impacts
 
     def _goes_on(self, contact: DetectedContact, start: int) -> bool:
@@ -401,8 +415,6 @@ class Detector:
 
     def _process(self, frame: Frame) -> list[Impact]:
         """Process the next frame."""
-        if self._unloaded is not None and self._is_released(frame, self._unloaded):
-            return self._release()
         quiet = self._baseline.is_quiet(frame)
         if quiet and self._segment_start is None:
             self._update_baseline(frame)
@@ -413,6 +425,13 @@ class Detector:
             self._segment_start = max(self._processed - 2 * self._frame_size, self._buffer.first)
             self._frames_below = 0
             self._candidates.clear()
+        zero = self._zero
+        if zero is not self._baseline:
+            # The level before a slow change is no release of it.
+            earliest = 0 if self._slow is None else math.floor(self._slow.impact.onset_sample) + 1
+            release = self._find_release(frame, zero, max(self._segment_start, earliest))
+            if release is not None:
+                return self._release(release)
         if quiet and level <= QUIET_LEVEL * self._baseline.threshold:
             impacts = self._report(self._classify(self._segment_start, self._processed), self._segment_start)
             self._segment_start = None
@@ -461,6 +480,8 @@ class Detector:
                 self._end_slow()
         elif change > self._settings.threshold:
             self._slow = self._slow_change(first, change)
+        elif not self._level.load and change <= REST_SHARE * self._settings.threshold:
+            self._unloaded = self._baseline
         return []
 
     def _slow_change(self, first: int, change: float) -> HeldContact:
