@@ -174,6 +174,18 @@ def test_a_tare_makes_the_load_the_zero(make_block: MakeBlock) -> None:
     assert [impact.load_force for impact in impacts] == [0.0, 0.0]
 
 
+@pytest.mark.parametrize("rate", RATES[:2])
+@pytest.mark.parametrize("rise", [0.5, 4.0])  # [s] the second one is as slow as drift
+def test_a_drop_soon_after_a_press_is_measured_from_zero(detect: Detect, rate: float, rise: float) -> None:
+    """The force is at zero for 80 ms between the two."""
+    time, end = time_axis(15.0, rate), 2.0 + rise + 1.5 + 0.1
+    force = noise(time) + press(time, 2.0, 60.0, rise, 1.5) + drop(time, end + 0.08, 42.0, 106.0) * (time < end + 2.0)
+    impacts, _ = detect(force, rate)
+    impact = impacts[-1]
+    assert impact.onset_sample / rate == pytest.approx(end + 0.08, abs=0.01)
+    assert (impact.peak_force, impact.held_force, impact.load_force) == pytest.approx((106.0, 42.0, 0.0), abs=1.0)
+
+
 def end_of(impact: Impact, force: FloatArray, rate: float) -> float:
     """Return the end of `impact` [s]; one that was published after MAX_HELD_S ends with the load that it leaves."""
     end = impact.onset_sample + impact.duration * rate
