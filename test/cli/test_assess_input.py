@@ -176,7 +176,7 @@ def test_unreadable_bag_is_reported_and_the_others_are_assessed(
     assert done.returncode == 1
     broken, other = json.loads(done.stdout)["unreadable"]
     assert broken.startswith(f"{folder / 'broken.mcap'}: is not a bag")
-    assert other.endswith("try joint_map a_joint1=joint1,a_joint2=joint2,a_joint3=joint3,a_joint4=joint4")
+    assert "try joint_map a_joint1=joint1,a_joint2=joint2,a_joint3=joint3,a_joint4=joint4; " in other
     assert rows_of(tmp_path / "a.parquet") == plain
     (folder / "good.mcap").unlink()
     assert "broken.mcap: is not a bag" in refused("assess", folder, "-o", tmp_path / "b.parquet")
