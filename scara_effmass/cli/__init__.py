@@ -77,7 +77,8 @@ def _explained(error: BaseException) -> tuple[str, int]:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     if isinstance(error, BrokenPipeError):
         return "", BROKEN_PIPE
-    if isinstance(error, KeyboardInterrupt):
+    # What fails while a command cleans up after Ctrl-C follows from it.
+    if isinstance(error, KeyboardInterrupt) or isinstance(error.__context__, KeyboardInterrupt):
         return "interrupted", INTERRUPTED
     if isinstance(error, MemoryError):
         return "too little memory: state less work, such as fewer --samples", INPUT_ERROR
