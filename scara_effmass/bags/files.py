@@ -103,8 +103,14 @@ def bag_bytes(bag: Path) -> int:
 
 def _open_files(bag: Path, paths: Sequence[Path], losses: LossLog, *, are_messages_compressed: bool = False) -> Bag:
     """Open the files of a bag. Compressed ones are decompressed to temporary files, which are deleted at once."""
-    with TemporaryDirectory(prefix="scara-effmass-") as folder:
-        files = [inflate_file(path, Path(folder)) if _head(path).startswith(ZSTD_MAGIC) else path for path in paths]
+    with ExitStack() as stack:
+
+        def uncompressed(path: Path) -> Path:
+            if not _head(path).startswith(ZSTD_MAGIC):
+                return path
+            return inflate_file(path, Path(stack.enter_context(TemporaryDirectory(prefix="scara-effmass-"))))
+
+        files = [uncompressed(path) for path in paths]
         formats = set()
         for path, file in zip(paths, files, strict=True):
             if not (head := _head(file)):

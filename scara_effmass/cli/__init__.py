@@ -70,6 +70,11 @@ def _parse_and_run(argv: Sequence[str] | None) -> int:
         signal.signal(signal.SIGTERM, previous_handler)
 
 
+def _is_interrupted(error: BaseException | None) -> bool:
+    """Return whether `error` is Ctrl-C, or followed from it: shutil.rmtree then closes a descriptor twice."""
+    return isinstance(error, KeyboardInterrupt) or (error is not None and _is_interrupted(error.__context__))
+
+
 def _explained(error: BaseException) -> tuple[str, int]:
     """Return one line and the exit code for an error that is no defect of this program; raises any other one."""
     if isinstance(error, OSError) and error.filename == STDOUT:
@@ -77,8 +82,7 @@ def _explained(error: BaseException) -> tuple[str, int]:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     if isinstance(error, BrokenPipeError):
         return "", BROKEN_PIPE
-    # What fails while a command cleans up after Ctrl-C follows from it.
-    if isinstance(error, KeyboardInterrupt) or isinstance(error.__context__, KeyboardInterrupt):
+    if _is_interrupted(error):
         return "interrupted", INTERRUPTED
     if isinstance(error, MemoryError):
         return "too little memory: state less work, such as fewer --samples", INPUT_ERROR

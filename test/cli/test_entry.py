@@ -16,6 +16,7 @@ from scara_effmass import __version__
 from scara_effmass.cli import main, make_parser
 from scara_effmass.cli.commands import COMMANDS, NODES
 from scara_effmass.cli.options import Option, options_of
+from scara_effmass.errors import OutputError
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
 from test.cli.conftest import Cli, Refused
@@ -229,6 +230,25 @@ def test_every_command_that_assesses_has_the_options_of_the_cell(command: str) -
     cell = {option.dest for option in options_of("cell")}
     assert cell <= set(MonitorSettings.model_fields)
     assert cell - own == (VERDICT_OPTIONS if command == "validate" else set())
+
+
+def test_what_fails_while_ctrl_c_is_handled_counts_as_interrupted(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As where shutil.rmtree removes a folder: it closes a descriptor twice, and a caller explains that."""
+
+    def run(_: object) -> int:
+        try:
+            try:
+                raise KeyboardInterrupt
+            finally:
+                os.close(-1)
+        except OSError as error:
+            raise OutputError(f"a.mcap: cannot be written: {error.strerror}") from None
+
+    monkeypatch.setattr("scara_effmass.cli.limits.run", run)
+    assert main(["limits"]) == 130
+    assert capsys.readouterr() == ("", "interrupted\n")
 
 
 @pytest.mark.live
