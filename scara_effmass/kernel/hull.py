@@ -416,12 +416,9 @@ def worst_reduced_mass(m: Mobility, alpha: float, beta: float, enough: float) ->
         return mass
     if m.hull == HULL_MASS or beta <= 0.0:
         return mass * m.speed_ratio
-    most = inverse(alpha) * m.speed_ratio
-    if most <= enough:
-        return max(mass, most)
     per_mass = beta * m.square
     energy = hull_energy(m, max(alpha / beta, CLAMPED_TOLERANCE * m.matrix_trace), 0.0, enough * per_mass)
-    bound: float = max(mass, min(energy / per_mass, most))
+    bound: float = max(mass, energy / per_mass)
     return bound
 
 

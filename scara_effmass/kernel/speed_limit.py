@@ -138,6 +138,16 @@ def case_bound(case: Case, m: Mobility, mass_factor: float, rate: float, least: 
 
 
 @inlined
+def holding_rate(case: Case, drives: Drives) -> float:
+    """Return `case.rate`, with the force that saturates no joint where that is less than the limit."""
+    rate = case.rate
+    if drives.max_force < case.force:
+        excess = case.force / drives.max_force if drives.max_force > 0.0 else math.inf
+        rate *= excess * excess
+    return rate
+
+
+@inlined
 def push_force(case: Case, drives: Drives, setup: Setup) -> float:
     """Return the force of drives that push robot and body part on."""
     mobility = drives.min_mobility / setup.mass_factor + case.obstacle_mobility
@@ -165,7 +175,7 @@ def push_bound(
             mu = factor * point_reduced_mass(m, factor * case.obstacle_mobility, 1.0)
             if mu * case.stiffness * speed * speed >= rest:
                 return Bound(-math.inf, 0.0, 0.0, force, 0.0, 0.0)
-        bound = free_bound(case, mobilities[k], setup.mass_factor, case.stiffness / rest, least)
+        bound = free_bound(case, m, factor, case.stiffness / rest, least)
         if k == 0 or bound.speed < slowest.speed:
             slowest = bound
     return Bound(slowest.speed, slowest.reduced_mass, slowest.growth, force, 0.0, 0.0)
@@ -213,10 +223,7 @@ def governing_case(
     for n in range(len(cases)):
         i = (start + n) % len(cases)
         case, bound = cases[i], NO_BOUND
-        rate = case.rate
-        if drives.max_force < case.force:
-            excess = case.force / drives.max_force if drives.max_force > 0.0 else math.inf
-            rate *= excess * excess
+        rate = holding_rate(case, drives)
         for k in range(len(mobilities)):
             least = min(slowest.speed, bound.speed)
             speed = least * (1.0 + work.growths[k] * max(0.0, least)) + work.gains[k]
@@ -308,10 +315,7 @@ def governing_person_case(
     for n in range(len(cases)):
         i = (start + n) % len(cases)
         case, bound = cases[i], NO_BOUND
-        rate = case.rate
-        if drives.max_force < case.force:
-            excess = case.force / drives.max_force if drives.max_force > 0.0 else math.inf
-            rate *= excess * excess
+        rate = holding_rate(case, drives)
         for k in range(len(mobilities)):
             least = min(slowest.speed, bound.speed)
             other = person_case_bound(case, work.principals[k], mobilities[k], setup, rate, person, least)

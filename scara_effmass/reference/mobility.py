@@ -208,8 +208,7 @@ class Mobility:
         if self.hull.mobility is None or beta <= 0.0:
             return point * self.hull.speed_ratio
         energy = self.hull.energy(max(alpha / beta, CLAMPED_TOLERANCE * self.trace))
-        most = self.hull.speed_ratio / alpha if alpha > 0.0 else math.inf
-        return max(point, min(energy / (beta * self.hull.square), most))
+        return max(point, energy / (beta * self.hull.square))
 
     def person_ratio(self, alpha: float, beta: float, person_speed: float) -> float:
         """Return a bound of the force anywhere on a link over that of the point, for a person in any direction.

@@ -153,7 +153,7 @@ class Monitor:
             admit(trial.states, trial.motions, rules, memory, joints)
             trial.records["is_admitted"] = 1
             self.compute(trial)
-            fields = map(self._difference, trial.motions, trial.numbers, trial.records["age"].tolist())
+            fields = map(self._reference.difference, trial.motions, trial.numbers, trial.records["age"].tolist())
             field = next(filter(None, fields), "")
             settle(trial.states, trial.numbers, trial.unknown, rules, memory, debounces)
         except Exception as error:
@@ -411,19 +411,14 @@ class Monitor:
             self._compare(pending)
         return self.settle(pending)
 
-    def _difference(self, motion: FloatArray, numbers: FloatArray, age: float) -> str:
-        """Return the first field in which kernel and reference differ at the contact whose turn it is, else empty."""
-        turn = self._next_checked
-        self._next_checked = (turn + 1) % len(self._points)
-        return self._reference.difference(motion, numbers, age, slice(turn, turn + 1))
-
     def _compare(self, pending: Pending) -> None:
-        """Compare the kernel with the reference; where they disagree, the reference works alone from then on."""
+        """Compare the contact whose turn it is with the reference, which works alone from the first difference on."""
         self._until_check = CHECK_INTERVAL // len(self._points)
         if self._why_reference or not pending.records["is_admitted"][0]:
             return
-        field = self._difference(pending.motions[0], pending.numbers[0], float(pending.records["age"][0]))
-        if field:
+        turn, self._next_checked = self._next_checked, (self._next_checked + 1) % len(self._points)
+        age, chosen = float(pending.records["age"][0]), slice(turn, turn + 1)
+        if field := self._reference.difference(pending.motions[0], pending.numbers[0], age, chosen):
             self._doubt(field)
             pending.records["is_admitted"] = 0
             pending.records["reason"][0, [CODE, DETAIL]] = Reason.KERNEL_DISAGREES, self._detail(field)
