@@ -201,7 +201,7 @@ def _time_column(header: Sequence[str], force: int, path: Path) -> int:
         alike = [n for n, name in enumerate(header) if first and NUMBER.sub("", name) == first]
         if COUNTER.fullmatch(header[0]) or force in alike:
             rule = "no column has times; state --rate HZ or --time-column"
-            raise SettingsError(f"{path}: {header[0]}: is a count or a value as others: {rule}")
+            raise SettingsError(f"{path}: {header[0]}: counts, or is a value like other columns: {rule}")
         return max((n for n in alike if n < force), default=0)
     shared = {n: len(_words(header[n]) & _words(header[force])) for n in times}
     best = [n for n in times if shared[n] == max(shared.values())]

@@ -54,7 +54,10 @@ second_trial = inlined(reference.second_trial)
 
 
 class Certificate(NamedTuple):
-    """Motion that bounds the energy [J] of a hull, its fastest vertex, and what its square exceeds the mean by."""
+    """Motion of the link that proves the `bound` of the energy [J] of its hull, and the fastest `vertex` in it.
+
+    `excess` [m2/s2]: by how much the square of its speed exceeds the weighted mean of the supports.
+    """
 
     motion: Motion
     vertex: int
@@ -139,7 +142,10 @@ def force_on(b: FloatArray, f: Force) -> Motion:
 
 @inlined
 def mobility_at(b: FloatArray, lever: Vector3) -> Mobility6:
-    """Return the mobility A = T B T^T [1/kg] of the point at `lever`."""
+    """Return the mobility A = T B T^T [1/kg] of the point at `lever` r.
+
+    With B = [[W, C], [C^T, V]], angular part first, it is V - P - P^T, P = skew(r) (C + W skew(r) / 2).
+    """
     x, y, z = lever
     p, q, r = vector_at(b, 0), vector_at(b, 1), vector_at(b, 2)
     f = cross(lever, add(vector_at(b, 3), scale(0.5, sub(scale(z, q), scale(y, r)))))
@@ -283,9 +289,9 @@ def add_support(m: Mobility, vertex: int, count: int) -> None:
 
 @inlined
 def factorized(m: Mobility6, least: float) -> Mobility6:
-    """Return Cholesky's factor L, its columns one after the other and its diagonal inverted; pivots are `least` ones.
+    """Return Cholesky's factor L, its columns one after the other and its diagonal inverted.
 
-    Rounding must not make them smaller than they can be.
+    No pivot can be smaller than `least`; rounding must not make it so.
     """
     a = 1.0 / math.sqrt(max(m[0], least))
     b, c = m[1] * a, m[2] * a
