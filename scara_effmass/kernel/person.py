@@ -212,21 +212,21 @@ def acceleration_root(
 
 
 @inlined
-def mass_or(mobility: float, infinite: float) -> float:
-    """Return the mass of a mobility, `infinite` if that is 0."""
-    return 1.0 / mobility if mobility > 0.0 else infinite
+def mass_up_to(mobility: float, largest: float) -> float:
+    """Return the mass of a mobility, at most `largest`."""
+    return min(1.0 / mobility, largest) if mobility > 0.0 else largest
 
 
 @inlined
 def meeting_of(
-    case: Case, p: Principal, mass_factor: float, alpha: float, beta: float, person: Person, infinite: float
+    case: Case, p: Principal, mass_factor: float, alpha: float, beta: float, person: Person, max_mass: float
 ) -> Meeting:
-    """Return the contact for one line of the drives; an infinite mass counts as `infinite`."""
+    """Return the contact for one line of the drives; a larger mass counts as `max_mass`."""
     beta_per_mass = beta / mass_factor
     least, unreached = max(alpha, p.floor * beta_per_mass), p.unreached if case.obstacle_mobility == 0.0 else 0
-    x = 0.0 if unreached > 0 else mass_or(least + beta_per_mass * p.values[0], infinite)
-    y = 0.0 if unreached > 1 else mass_or(least + beta_per_mass * p.values[1], infinite)
-    z = mass_or(least + beta_per_mass * p.values[2], infinite)
+    x = 0.0 if unreached > 0 else mass_up_to(least + beta_per_mass * p.values[0], max_mass)
+    y = 0.0 if unreached > 1 else mass_up_to(least + beta_per_mass * p.values[1], max_mass)
+    z = mass_up_to(least + beta_per_mass * p.values[2], max_mass)
     heaviest = max(x, y, z)
     gain = root_gain = time = 0.0
     if heaviest < math.inf:
@@ -347,12 +347,14 @@ def speed_of(meeting: Meeting, energy: Energy, root: float) -> float:
 def max_speed(meeting: Meeting, root: float) -> float:
     """Return the largest speed of the contact point with this `root`; negative if the person has to be slower.
 
+    No person is slower than at rest.
+
     Every round takes the bound of the energy at the speed of the last one, and none of them is too fast.
     """
     root -= meeting.root_gain
     at_rest = person_mass(meeting)
     if not meeting.person_speed * math.sqrt(at_rest) < root:
-        return root / math.sqrt(at_rest) - meeting.person_speed - meeting.gain
+        return max(root / math.sqrt(at_rest) - meeting.person_speed - meeting.gain, -meeting.person_speed)
     start = root / math.sqrt(meeting.heaviest) - meeting.person_speed
     speed = speed_of(meeting, energy_at(meeting, max(0.0, start)), root)
     for _ in range(MAX_ROUNDS):
@@ -360,7 +362,7 @@ def max_speed(meeting: Meeting, root: float) -> float:
         speed = max(last, speed_of(meeting, energy_at(meeting, last), root))
         if speed - last <= ROUNDED * speed:
             break
-    return speed - meeting.gain
+    return max(speed - meeting.gain, -meeting.person_speed)
 
 
 @inlined

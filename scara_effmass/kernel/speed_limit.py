@@ -266,7 +266,7 @@ def person_line_bound(
     if ratio <= enough:
         return NO_BOUND
     speed = max_speed(meeting, limit / ratio)
-    if meeting.heaviest == math.inf:
+    if meeting.heaviest > setup.mass_cap:
         meeting = meeting_of(case, p, setup.mass_factor, alpha, beta, person, setup.mass_cap)
     return Bound(speed, person_mass(meeting), 0.0, 0.0, ratio * present_root(meeting, person.robot_speed), 0.0)
 

@@ -81,7 +81,7 @@ class PersonContact:
         person: MovingPerson,
         max_mass: float = math.inf,
     ) -> PersonContact:
-        """Return the contact of a robot with this `mobility`; an infinite mass counts as `max_mass` [kg].
+        """Return the contact of a robot with this `mobility`; a larger mass counts as `max_mass` [kg].
 
         A clamped body part does not move in directions in which the point cannot: their mass is 0.
         """
@@ -90,7 +90,7 @@ class PersonContact:
         values = np.append(mobility.values, [mobility.across] * (3 - count))
         floor = CLAMPED_TOLERANCE * beta * mobility.trace if count > 1 else 0.0
         inverses = max(alpha, floor) + beta * np.maximum(values, 0.0)
-        masses = np.array([1.0 / inverse if inverse > 0.0 else max_mass for inverse in inverses])
+        masses = np.array([min(1.0 / inverse, max_mass) if inverse > 0.0 else max_mass for inverse in inverses])
         if case.obstacle_mobility == 0.0 and mobility.across == 0.0:
             masses[count:] = 0.0
         axes = np.hstack((mobility.axes, np.linalg.svd(mobility.axes)[0][:, count:]))
@@ -175,9 +175,10 @@ class PersonContact:
     def max_speed(self, root: float) -> float:
         """Return the largest speed [m/s] of the contact point whose `root` is the stated one.
 
-        Negative if there is none: then by how much slower the person has to be. `root` never falls as the speed rises.
+        Negative if there is none: then by how much slower the person has to be, at most the person's speed. `root`
+        never falls as the speed rises.
         """
-        return self._max_speed(root - self.root_gain) - self.gain
+        return max(self._max_speed(root - self.root_gain) - self.gain, -self.person_speed)
 
     def _max_speed(self, root: float) -> float:
         """Return that of a robot that does not accelerate."""
