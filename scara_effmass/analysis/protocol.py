@@ -8,6 +8,7 @@ for each region the contacts with the largest force / limit.
 import math
 from collections.abc import Iterator, Mapping
 from datetime import date
+from functools import cache, partial
 from pathlib import Path
 from textwrap import wrap
 from typing import Annotated, Any, NamedTuple
@@ -22,6 +23,7 @@ from scara_effmass.iso15066 import (
     EDITION,
     TABLE_HASH,
     Limit,
+    contact_area,
     limits_for,
     peak_force,
     reduced_mass,
@@ -300,6 +302,7 @@ class Candidate(NamedTuple):
     """
 
     ratio: float
+    limit: Limit
     contact: ContactAssessment
     pose: Mapping[str, float]
     at_limit: bool
@@ -317,7 +320,8 @@ class Plan:
         """Start empty. Raises LimitError."""
         self._settings, self._count = settings, count
         self.unknown = self.at_rest = 0
-        self._worst: dict[Limit, list[Candidate]] = {limit: [] for limit in limits_for(settings)}
+        self._worst: dict[str, list[Candidate]] = {limit.region: [] for limit in limits_for(settings)}
+        self._limits = cache(partial(limits_for, settings))
 
     def add(self, contact: ContactAssessment, pose: Mapping[str, float], *, at_limit: bool = False) -> None:
         """Consider a contact in a `pose`, by joint [rad, m].
@@ -328,12 +332,13 @@ class Plan:
             self.unknown += contact.verdict is Verdict.UNKNOWN
             self.at_rest += contact.verdict is not Verdict.UNKNOWN
             return
-        for limit, worst in self._worst.items():
+        for limit in self._limits(contact.contact_point):
+            worst = self._worst[limit.region]
             mu = reduced_mass(contact.effective_mass, limit.body_mass_kg)
             ratio = peak_force(contact.speed, mu, limit.stiffness_n_m) / limit.permissible_force_n
             if len(worst) == self._count and ratio <= worst[-1].ratio:
                 continue
-            candidate = Candidate(ratio, contact, pose, at_limit)
+            candidate = Candidate(ratio, limit, contact, pose, at_limit)
             near = [other for other in worst if candidate.is_near(other)]
             if all(ratio > other.ratio for other in near):
                 others = [other for other in worst if other not in near]
@@ -342,11 +347,11 @@ class Plan:
     def protocol(self, robot_model: str) -> Protocol:
         """Return a protocol with an empty test for each contact, and a device for each stiffness of the regions."""
         tests, devices = [], {}
-        for limit, worst in self._worst.items():
-            device = f"{limit.stiffness_n_m / 1e3:g}_N_mm"
+        for region, worst in self._worst.items():
             for number, candidate in enumerate(worst, start=1):
+                device = f"{candidate.limit.stiffness_n_m / 1e3:g}_N_mm"
                 devices[device] = Instrument(id=device)
-                tests.append(self._test(f"{limit.region}_{number}", device, limit, candidate))
+                tests.append(self._test(f"{region}_{number}", device, candidate))
         identity = Identity(robot_model=robot_model, standard=EDITION, limits_hash=TABLE_HASH)
         empty = ContactTest(id="1", instrument="device", results=EMPTY)
         return Protocol(
@@ -355,8 +360,8 @@ class Plan:
             tests=tuple(tests) or (empty,),
         )
 
-    def _test(self, name: str, device: str, limit: Limit, candidate: Candidate) -> ContactTest:
-        contact, speed = candidate.contact, candidate.contact.speed
+    def _test(self, name: str, device: str, candidate: Candidate) -> ContactTest:
+        limit, contact, speed = candidate.limit, candidate.contact, candidate.contact.speed
         if candidate.at_limit:
             speed = speed_limit_of_mass((limit,), contact.effective_mass).allowable_speed
         mu = reduced_mass(contact.effective_mass, limit.body_mass_kg)
@@ -370,7 +375,7 @@ class Plan:
                 contact_point=contact.contact_point,
                 body_region=limit.region,
                 contact=limit.contact,
-                contact_area_m2=self._settings.contact_area_m2,
+                contact_area_m2=contact_area(self._settings, contact.contact_point),
             ),
             motion=Motion(
                 pose={joint: round(position, 4) for joint, position in candidate.pose.items()} or None,

@@ -92,6 +92,7 @@ class RunReport:
         self._traces: dict[str, list[ShownTrace]] = {}
         self._period = [2**63, 0]
         self._is_simulated = False
+        self._contacts: set[str] = set()
         self._episodes: list[dict[str, Any]] = []
 
     def add(
@@ -100,6 +101,7 @@ class RunReport:
         """Draw `contact_point` in the run `run`, with the forces of that run."""
         if not len(series.time):
             return
+        self._contacts.add(contact_point)
         settings, model = self._settings, self._settings.effective_mass_model.value
         motion = "generated motion, no real robot" if generated else "recorded motion, modelled masses"
         models = [
@@ -181,8 +183,12 @@ class RunReport:
         return summary
 
     def _regions(self) -> Iterator[tuple[Limit, int, float | None, str]]:
-        """Yield each limit with the number of episodes that it governs, their smallest margin [m/s], worst verdict."""
-        for limit in limits_for(self._settings):
+        """Yield the limit of each region with the number of its episodes, their smallest margin [m/s], worst verdict.
+
+        It is that of the contact with the smallest area.
+        """
+        for limits in zip(*(limits_for(self._settings, name) for name in self._contacts or ("",)), strict=True):
+            limit = min(limits, key=lambda limit: limit.permissible_force_n)
             episodes = [item for item in self._episodes if item["body_region"] == limit.region]
             margins = [item["min_margin_m_s"] for item in episodes if item["min_margin_m_s"] is not None]
             verdict = worst(Verdict[item["verdict"]] for item in episodes).name if episodes else ""

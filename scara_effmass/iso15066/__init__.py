@@ -20,7 +20,7 @@ from scara_effmass.iso15066.contact import (
     robot_mass,
     transferred_energy,
 )
-from scara_effmass.iso15066.limits import Criterion, Limit, limits_for
+from scara_effmass.iso15066.limits import Criterion, Limit, contact_area, limits_for, limits_of
 from scara_effmass.iso15066.table import (
     BODY_POINTS,
     BODY_REGIONS,
@@ -45,10 +45,12 @@ __all__ = [
     "Criterion",
     "Limit",
     "SpeedLimit",
+    "contact_area",
     "contact_cases",
     "contact_time",
     "force_per_root_stiffness",
     "limits_for",
+    "limits_of",
     "peak_force",
     "reduced_mass",
     "robot_mass",

@@ -109,6 +109,11 @@ class ContactCase:
         return self.speed_limit(1.0 / inverse if inverse > 0.0 else math.inf)
 
 
+def weakest_case(cases: Iterable[ContactCase]) -> ContactCase:
+    """Return the case that permits the smallest force."""
+    return min(cases, key=lambda case: case.force)
+
+
 def max_speed(speed: float, growth: float) -> float:
     """Return v [m/s] with v (1 + growth v) = `speed`, with the `growth` [s/m].
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Literal
 
 from scara_effmass.errors import LimitError
@@ -60,8 +61,27 @@ class Limit:
         return f"force: {force}; pressure: {pressure}"
 
 
-def limits_for(settings: MonitorSettings) -> tuple[Limit, ...]:
+def limits_of(settings: MonitorSettings, contacts: Sequence[str]) -> tuple[tuple[Limit, ...], ...]:
+    """Return the limits of each of the `contacts`, see `limits_for`.
+
+    Raises LimitError for an entry of `contact_areas` that matches none of them, too.
+    """
+    for glob in settings.stated_areas:
+        if not any(fnmatchcase(contact, glob) for contact in contacts):
+            raise LimitError(f"contact_areas = {glob!r}: must match one of the contacts {', '.join(contacts)}")
+    return tuple(limits_for(settings, contact) for contact in contacts)
+
+
+def contact_area(settings: MonitorSettings, contact: str) -> float:
+    """Return the contact area [m2] of a `contact` point or link."""
+    areas = (area for glob, area in settings.stated_areas.items() if fnmatchcase(contact, glob))
+    return next(areas, settings.contact_area_m2)
+
+
+def limits_for(settings: MonitorSettings, contact: str = "") -> tuple[Limit, ...]:
     """Return the limits of `settings.body_regions`, from head to foot; by default of all regions that have one.
+
+    The area is that of a `contact` point or link by its name; by default `contact_area_m2`.
 
     A limit from `settings` replaces the standard's in the regions where it is stricter. Raises LimitError for a region
     that is unknown, repeated or of the head (where the standard permits no contact), for a setting that is looser than
@@ -69,7 +89,7 @@ def limits_for(settings: MonitorSettings) -> tuple[Limit, ...]:
     """
     regions = _chosen_regions(settings.body_regions)
     limits = tuple(
-        _standard_limit(region, settings.contact, _CM2_PER_M2 * settings.contact_area_m2) for region in regions
+        _standard_limit(region, settings.contact, _CM2_PER_M2 * contact_area(settings, contact)) for region in regions
     )
     _check_not_looser(settings, limits)
     limits = tuple(_tightened(limit, settings) for limit in limits)

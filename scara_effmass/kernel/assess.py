@@ -231,7 +231,7 @@ def fill_limits(
         _PRESSURE if case.is_pressure else _FORCE,
         model + 1,
     )
-    set_verdict(contact, case, bound, mass, approach, setup, work)
+    set_verdict(contact, case, cases[point.weakest], bound, mass, approach, setup, work)
 
 
 @inlined
@@ -266,9 +266,19 @@ def judge(speed: float, nominal_speed: float, turn: float, setup: Setup) -> tupl
 
 @inlined
 def set_verdict(
-    contact: Contact, case: Case, bound: Bound, mass: float, approach: Approach, setup: Setup, work: Work
+    contact: Contact,
+    case: Case,
+    weakest: Case,
+    bound: Bound,
+    mass: float,
+    approach: Approach,
+    setup: Setup,
+    work: Work,
 ) -> None:
-    """Write the bound of the force, the allowable speed and the verdict."""
+    """Write the bound of the force, the allowable speed and the verdict.
+
+    `case` allows the least speed, `weakest` the smallest force.
+    """
     share = person_share(approach, setup, work)
     closing_speed = setup.person_speed * share + setup.speed_uncertainty + approach.tolerance
     contact.force_bound = force_of(bound, case, approach.speed * approach.share + closing_speed, setup)
@@ -282,11 +292,13 @@ def set_verdict(
         verdict, code = max(verdict, _WARN), code if code != Reason.NONE else Reason.LIGHT_MODEL
     if setup.is_servo:  # it pushes no further than its reference moves on
         contact.clamping_force = min(contact.clamping_force, contact.force_bound)
-    elif contact.clamping_force > setup.weakest_force:
+    elif contact.clamping_force > weakest.force:
         verdict, code, contact.allowable_speed = _VIOLATION, Reason.CLAMPED, 0.0
     contact.verdict = verdict
     if code == Reason.CLAMPED:
-        set_reason(contact.reason, code, 0, contact.clamping_force, 0.0, 0.0)
+        set_reason(
+            contact.reason, code, 0, contact.clamping_force, weakest.force * setup.amplification, weakest.region + 1.0
+        )
     elif code == Reason.TURNS:
         set_reason(contact.reason, code, approach.fastest_joint, turn, 0.0, 0.0)
     elif code != Reason.NONE:
@@ -398,12 +410,12 @@ def assess_states(
     """Write in `numbers` (N, P, fields) the contacts of P points at the admitted ones of N joint states.
 
     `rows` are the bytes of their States, `motions` (N, 5, n) q, qd, tolerances of qd, qdd and its errors;
-    `robot`, `at` and `limits` are the bytes of Setup, Points and Cases: numba recognizes records slowly at a call.
-    `scratch` holds one Work: numba frees an array made here while its record is in use.
+    `robot`, `at` and `limits` are the bytes of Setup, Points and the Cases of each: numba recognizes records slowly at
+    a call. `scratch` holds one Work: numba frees an array made here while its record is in use.
     """
     cases: Any
     setup, points, cases, contacts = robot.view(SETUP)[0], at.view(POINT), limits.view(CASE), numbers.view(CONTACT)
-    work, states = scratch.view(WORK)[0], rows.view(STATE)
+    work, states, count = scratch.view(WORK)[0], rows.view(STATE), len(cases) // len(points)
     for i in range(len(states)):
         if states[i].is_admitted == 0:
             continue
@@ -412,4 +424,5 @@ def assess_states(
         fill_dynamics(motions[i, 0], setup, work)
         age = max(0.0, states[i].age) + setup.reaction_time  # a stamp may lead the clock
         for p in range(len(points)):
-            assess_point(setup, cases, work, points[p], motions[i], age, contacts[i, p, 0])
+            own = cases[p * count : (p + 1) * count]
+            assess_point(setup, own, work, points[p], motions[i], age, contacts[i, p, 0])

@@ -5,11 +5,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import chain
 from typing import Any
 
 import numpy as np
 
-from scara_effmass.iso15066 import ContactCase, Limit, contact_cases
+from scara_effmass.iso15066 import ContactCase, contact_cases, limits_of
+from scara_effmass.iso15066.allowable_speed import weakest_case
 from scara_effmass.kernel.assess import assess_states
 from scara_effmass.kernel.codes import MODELS, NORMALS, Normal
 from scara_effmass.kernel.records import (
@@ -40,17 +42,19 @@ def too_large(robot: Robot) -> str:
 class ContactKernel:
     """Assesses joint states of one robot with one setting."""
 
-    def __init__(self, dynamics: RobotDynamics, settings: MonitorSettings, limits: tuple[Limit, ...]) -> None:
-        """Copy what the functions need. `limits` are those of `settings`."""
+    def __init__(self, dynamics: RobotDynamics, settings: MonitorSettings) -> None:
+        """Copy what the functions need. Raises LimitError."""
         self._dynamics = dynamics
-        cases = contact_cases(limits, settings)
-        points = [_point(dynamics.robot, contact) for contact in dynamics.contacts]
-        rows = [_case(case, limits.index(case.limit)) for case in cases]
-        self._arrays = _bytes([self._setup(settings, cases)]), _bytes(points), _bytes(rows)
+        limits = limits_of(settings, dynamics.contact_points)
+        cases = [contact_cases(of_contact, settings) for of_contact in limits]
+        points = [_point(dynamics.robot, *contact) for contact in zip(dynamics.contacts, cases, strict=True)]
+        regions = [limit.region for limit in limits[0]]
+        rows = [_case(case, regions.index(case.limit.region)) for case in chain(*cases)]
+        self._arrays = _bytes([self._setup(settings, cases[0])]), _bytes(points), _bytes(rows)
         self._spare: list[ByteArray] = []
 
     def _setup(self, settings: MonitorSettings, cases: Sequence[ContactCase]) -> Setup:
-        """Return robot and settings, `cases` those of all limits."""
+        """Return robot and settings, `cases` those of any contact: no field depends on their forces."""
         dynamics, robot, model = self._dynamics, self._dynamics.robot, self._dynamics.robot.model
         lumped = dynamics.lumped
         models = (model if lumped is None else lumped.model, model)
@@ -102,11 +106,9 @@ class ContactKernel:
             speed_uncertainty=settings.speed_uncertainty,
             warn_ratio=settings.warn_ratio,
             external_force=settings.external_force_limit or math.inf,
-            weakest_force=min(case.force for case in cases),
             min_alpha=min((alpha / beta for case in cases for alpha, beta in case.lines if beta), default=0.0),
             min_stiffness=min(case.stiffness for case in cases),
             max_drive_time=max(case.drive_time or 0.0 for case in cases),
-            hull_mobility=hull_mobility(cases),
             gravity=model.gravity.linear,
         )
 
@@ -140,10 +142,18 @@ class ContactKernel:
         self._spare.append(scratch)
 
 
-def _point(robot: Robot, contact: ContactPoint) -> Point:
+def _point(robot: Robot, contact: ContactPoint, cases: Sequence[ContactCase]) -> Point:
     frame, vertices = robot.model.frames[contact.frame], contact.vertices
-    pose = frame.placement
-    return Point(frame.parentJoint - 1, contact.rank, pose.translation, pose.rotation, len(vertices), vertices)
+    return Point(
+        joint=frame.parentJoint - 1,
+        rank=contact.rank,
+        place=frame.placement.translation,
+        rotation=frame.placement.rotation,
+        weakest=cases.index(weakest_case(cases)),
+        hull_mobility=hull_mobility(cases),
+        vertex_count=len(vertices),
+        vertices=vertices,
+    )
 
 
 def _case(case: ContactCase, region: int) -> Case:

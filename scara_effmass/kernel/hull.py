@@ -230,7 +230,7 @@ def place_on_link(point: Point, setup: Setup, work: Work) -> int:
     threshold = setup.speed_threshold * setup.speed_threshold
     work.fastest_square = fastest_square(point, work)
     is_moving = work.fastest_square >= threshold
-    vertex = worst_vertex(first, setup.hull_mobility, is_moving, point, work)
+    vertex = worst_vertex(first, point.hull_mobility, is_moving, point, work)
     twist = motion_at(work.velocities, point.joint)
     if is_moving and square_at(twist, vector_at(work.vertices, vertex)) < threshold:
         return worst_vertex(-1, 0.0, is_moving, point, work)  # the fastest

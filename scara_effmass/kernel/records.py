@@ -40,13 +40,17 @@ _TYPES: dict[object, Any] = {float: "f8", int: "i8", bool: "?", FloatArray: "f8"
 class Point:
     """Contact point at `place` [m] in the frame of `joint`, which can move in `rank` dimensions, or a whole link.
 
-    That is the convex hull of `vertices`, in the same frame. `rotation` is that of the frame that names it.
+    That is the convex hull of `vertices`, in the same frame. `rotation` is that of the frame that names it. Of its
+    cases, `weakest` (an index) permits the smallest force. The mobility [1/kg] of the body part for which the place of
+    the contact on a link is chosen is `hull_mobility`.
     """
 
     joint: int
     rank: int
     place: Vector
     rotation: Annotated[FloatArray, (3, 3)]
+    weakest: int
+    hull_mobility: float
     vertex_count: int
     vertices: Annotated[FloatArray, (MAX_VERTICES, 3)]
 
@@ -75,8 +79,7 @@ class Setup:
     Per joint: index of its `parent` (-1 the base), its pose there, its `axis` in its own frame, its effort limit. Per
     model, lumped and full, and joint: inertia of its link about `lever`, in its frame; the rotors are in `armature` and
     `coupling`. Fixed contact normal and test direction are in the frame of a joint. `model` is a
-    `kernel.codes.Model`, `normal` a `kernel.codes.Normal`. `hull_mobility` [1/kg] is that of the body part for
-    which the place of the contact on a link is chosen.
+    `kernel.codes.Model`, `normal` a `kernel.codes.Normal`.
     """
 
     joints: int
@@ -127,11 +130,9 @@ class Setup:
     speed_uncertainty: float
     warn_ratio: float
     external_force: float
-    weakest_force: float
     min_alpha: float
     min_stiffness: float
     max_drive_time: float
-    hull_mobility: float
     gravity: Vector
 
 

@@ -162,6 +162,11 @@ class DhFile(_Strict):
     defaults_hold: tuple[str, ...] = ()
     """Names of the assumptions that hold for this robot as the defaults of the parameters have them."""
 
+    @property
+    def has_boxes(self) -> bool:
+        """Whether a link or the payload has boxes."""
+        return any(link.boxes for link in (*self.links, self.payload))
+
     @field_validator("defaults_hold")
     @classmethod
     def _names_assumptions(cls, names: tuple[str, ...]) -> tuple[str, ...]:
@@ -277,7 +282,7 @@ def _described(file: DhFile, origin: str, settings: MonitorSettings) -> RobotDes
         pose = file.joints[number - 1].link_in_joint() if number else placement
         points.append((name, number or parent, pose * pin.SE3(np.eye(3), np.array(at))))
     hulls: dict[str, FloatArray] = {}
-    if WHOLE_ARM in settings.contact_points:
+    if settings.watches_links and (settings.contact_points or file.has_boxes):
         hulls, watched = _hulls(file, origin, settings, [name for name, *_ in points])
         points += watched
     return RobotDescription(
@@ -302,14 +307,17 @@ def _hulls(
     from scara_effmass.model.hulls import stated_hull  # noqa: PLC0415 - scipy.spatial takes long to import
 
     hulls, points = dict[str, FloatArray](), list[tuple[str, int, pin.SE3]]()
-    if not any(link.boxes for link in file.links):
+    if not file.has_boxes:
         raise RobotError(f"{origin}: contact_points = {WHOLE_ARM!r}: no link has boxes: state them, or name points")
-    for joint, (row, link) in enumerate(zip(file.joints, file.links, strict=True), start=1):
+    bodies = [
+        (link, joint, row.link_in_joint())
+        for joint, (row, link) in enumerate(zip(file.joints, file.links, strict=True), 1)
+    ]
+    for link, joint, pose in [*bodies, (file.payload, len(file.joints), file.joints[-1].next_in_joint())]:
         if not link.boxes or not any(fnmatchcase(link.name, glob) for glob in settings.contact_links):
             continue
         if link.name in taken:
             raise RobotError(f"{origin}: contact_points.{link.name}: must have another name than the link")
-        pose = row.link_in_joint()
         signs = np.array([*product((-0.5, 0.5), repeat=3)])
         corners = np.concatenate([np.array(box.center) + signs * np.array(box.size) for box in link.boxes])
         hulls[link.name] = stated_hull(link.name, joint, corners @ pose.rotation.T + pose.translation).vertices

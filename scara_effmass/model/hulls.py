@@ -10,6 +10,7 @@ import os
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -38,7 +39,9 @@ _MIN_GAIN = 5e-3
 """Share by which a change must reduce the sum of squared distances."""
 _SIDES, _ARCS = 32, 15
 """Sides of the polygon around a circle, and of that around half a circle, odd."""
-_SHAPES = ("box", "cylinder", "sphere", "capsule", "mesh")
+_ROUND = {"radius": 1, "length": 1}
+_ATTRIBUTES = {"box": {"size": 3}, "sphere": {"radius": 1}, "cylinder": _ROUND, "capsule": _ROUND}
+"""Attributes of the shapes of a URDF, each with its count of numbers, in the order of `settings.Shape.sizes`."""
 
 
 class LinkHull(NamedTuple):
@@ -86,6 +89,15 @@ def stated_hull(link: str, joint: int, points: FloatArray) -> LinkHull:
     return LinkHull(link, joint, vertices, max(1.0, ConvexHull(vertices).volume / hull.volume), "stated")
 
 
+def shape_points(kind: str, sizes: Sequence[float]) -> FloatArray:
+    """Return points (N, 3) [m] whose convex hull contains a shape about the origin, see `settings.SHAPE_SIZES`."""
+    if kind == "box":
+        corners: FloatArray = 0.5 * np.array(sizes) * _CORNERS
+        return corners
+    radius, length = sizes[0], 0.0 if kind == "sphere" else sizes[1]
+    return _round_points(radius, 0.5 * length, is_flat=kind == "cylinder")
+
+
 def package_folders(path: Path | None, stated: Sequence[Path]) -> list[Path]:
     """Return the folders in which to search for the packages and relative file names of the URDF at `path`.
 
@@ -111,16 +123,13 @@ def outer_vertices(points: FloatArray) -> FloatArray:
 def _points(element: ET.Element, where: str, package_dirs: Sequence[Path]) -> FloatArray:
     """Return points (N, 3) [m] in the frame of the link; the geometry of `element` is inside of their convex hull."""
     shape, origin = element.find("geometry/*"), element.find("origin")
-    if shape is None or shape.tag not in _SHAPES:
-        raise RobotError(f"{where}: <geometry>: must be one of {', '.join(_SHAPES)}")
+    if shape is None or shape.tag not in {*_ATTRIBUTES, "mesh"}:
+        raise RobotError(f"{where}: <geometry>: must be one of {', '.join(_ATTRIBUTES)}, mesh")
     if shape.tag == "mesh":
         points = _mesh_points(shape, where, package_dirs)
-    elif shape.tag == "box":
-        points = 0.5 * np.array(numbers_of(shape, "size", where, 3)) * _CORNERS
     else:
-        (radius,) = numbers_of(shape, "radius", where, 1)
-        half = 0.0 if shape.tag == "sphere" else 0.5 * numbers_of(shape, "length", where, 1)[0]
-        points = _round_points(radius, half, is_flat=shape.tag == "cylinder")
+        sizes = (numbers_of(shape, name, where, count) for name, count in _ATTRIBUTES[shape.tag].items())
+        points = shape_points(shape.tag, tuple(chain(*sizes)))
     if origin is None:
         return points
     rotation = pin.rpy.rpyToMatrix(np.array(numbers_of(origin, "rpy", where, 3, "0 0 0")))

@@ -19,7 +19,7 @@ from scara_effmass.model.light_ends import hold_light_end
 from scara_effmass.model.plausibility import InertialCheck, check_inertials, judge, triangle_error
 from scara_effmass.model.robot import Robot
 from scara_effmass.model.urdf import load_urdf
-from scara_effmass.settings import MonitorSettings
+from scara_effmass.settings import PAYLOAD_CONTACT, MonitorSettings
 from scara_effmass.settings.loading import nearest
 
 MAX_MOVING_JOINTS = 64
@@ -76,6 +76,7 @@ def build_robot(stated: RobotDescription, settings: MonitorSettings) -> Robot:
     for joint in settings.position_limits:
         if joint not in joints:
             raise RobotError(f"{origin}: joint_limits = {joint!r}: {nearest(joint, joints)}")
+    stated = _with_payload_shape(stated, settings)
     model = stated.model.copy()
     model.armature = np.diag(rotors.matrix)
     contact_frames = _add_contact_frames(model, stated)
@@ -164,6 +165,32 @@ def _add_contact_frames(model: pin.Model, stated: RobotDescription) -> dict[str,
     return frames
 
 
+def _payload_frame(stated: RobotDescription) -> tuple[set[int], int, pin.SE3]:
+    """Return the joints at the ends of chains, and joint and pose of the frame of the payload."""
+    ends = set(range(1, stated.model.njoints)) - set(stated.model.parents)
+    places = ((joint, pose) for _, joint, pose in stated.contact_points if joint in ends)
+    return ends, *next(places, (stated.model.njoints - 1, stated.tip))
+
+
+def _with_payload_shape(stated: RobotDescription, settings: MonitorSettings) -> RobotDescription:
+    """Return `stated` with `payload_shape` as a contact. Raises RobotError."""
+    shapes = settings.payload_shapes
+    if not shapes:
+        return stated
+    if any(name == PAYLOAD_CONTACT for name, *_ in stated.contact_points):
+        raise RobotError(f"{stated.origin}: payload_shape: another contact has the name {PAYLOAD_CONTACT}: rename it")
+    from scara_effmass.model.hulls import shape_points, stated_hull  # noqa: PLC0415 - scipy.spatial takes long to import
+
+    _, joint, pose = _payload_frame(stated)
+    points = np.concatenate([shape_points(shape.kind, shape.sizes) + shape.centre for shape in shapes])
+    hull = stated_hull(PAYLOAD_CONTACT, joint, points @ pose.rotation.T + pose.translation)
+    return replace(
+        stated,
+        contact_points=[*stated.contact_points, (PAYLOAD_CONTACT, joint, pose)],
+        hulls={**stated.hulls, PAYLOAD_CONTACT: hull.vertices},
+    )
+
+
 def _add_payload(model: pin.Model, stated: RobotDescription, settings: MonitorSettings) -> list[str]:
     """Add the payload of `settings` to `model`, and return notes. Raises RobotError for an inertia that no body has."""
     load = StatedLink(
@@ -178,9 +205,7 @@ def _add_payload(model: pin.Model, stated: RobotDescription, settings: MonitorSe
         raise RobotError(f"payload_inertia = {list(settings.payload_inertia)}: {problem}")
     if not load.mass:
         return []
-    ends = set(range(1, model.njoints)) - set(model.parents)
-    places = ((joint, pose) for _, joint, pose in stated.contact_points if joint in ends)
-    joint, pose = next(places, (model.njoints - 1, stated.tip))
+    ends, joint, pose = _payload_frame(stated)
     model.appendBodyToJoint(joint, pin.Inertia(load.mass, load.com, load.inertia), pose)
     notes = []
     if len(ends) > 1:

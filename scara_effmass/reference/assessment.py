@@ -15,7 +15,13 @@ from typing import NamedTuple
 import numpy as np
 
 from scara_effmass.codes import CriterionCode, ModelCode, ModelReason, NoLumpedMass, Reason
-from scara_effmass.iso15066.allowable_speed import MIN_EFFECTIVE_MASS, ContactCase, SpeedLimit, contact_cases
+from scara_effmass.iso15066.allowable_speed import (
+    MIN_EFFECTIVE_MASS,
+    ContactCase,
+    SpeedLimit,
+    contact_cases,
+    weakest_case,
+)
 from scara_effmass.iso15066.contact import MAX_TURN, peak_force, reduced_mass, transferred_energy, turn_until_peak
 from scara_effmass.iso15066.limits import Limit
 from scara_effmass.model.lumping import is_scara, lumped_suffices
@@ -88,7 +94,7 @@ class ContactResult:
 def assess(
     dynamics: RobotDynamics,
     settings: MonitorSettings,
-    limits: Sequence[Limit],
+    limits: Sequence[Sequence[Limit]],
     q: FloatArray,
     qd: FloatArray,
     velocity_tolerance: Sequence[float] = (),
@@ -97,20 +103,18 @@ def assess(
 ) -> list[ContactResult]:
     """Return the assessment of each of the `chosen` contact points at `q` (n,) [rad, m] and `qd` (n,), finite numbers.
 
-    `limits` are those of `settings`, see `iso15066.limits_for`. `velocity_tolerance` (n,) bounds the errors of `qd`;
-    empty: no errors. None as `acceleration` is a robot that does not accelerate.
+    `limits` are those of every contact point, see `iso15066.limits_of`. `velocity_tolerance` (n,) bounds the errors of
+    `qd`; empty: no errors. None as `acceleration` is a robot that does not accelerate.
     """
-    cases = contact_cases(limits, settings)
     none = np.zeros_like(qd)
     acceleration = acceleration or JointAcceleration(none, none)
-    place = hull_mobility(cases), settings.speed_threshold
-    contacts = [contact.at_worst_vertex(*place) for contact in dynamics.at(q, qd).contacts[chosen]]
-    return [
-        ContactAssessor(
-            contact, settings, tuple(limits), cases, contact.speed_tolerance(velocity_tolerance), acceleration
-        ).result()
-        for contact in contacts
-    ]
+    results = []
+    for contact, own in zip(dynamics.at(q, qd).contacts[chosen], limits[chosen], strict=True):
+        cases = contact_cases(own, settings)
+        worst = contact.at_worst_vertex(hull_mobility(cases), settings.speed_threshold)
+        tolerance = worst.speed_tolerance(velocity_tolerance)
+        results.append(ContactAssessor(worst, settings, tuple(own), cases, tolerance, acceleration).result())
+    return results
 
 
 class JointAcceleration(NamedTuple):
@@ -427,9 +431,11 @@ class ContactAssessor:
         self._judge(result, mass, nominal_speed, found.allowable_speed)
         if settings.drives is Drives.SERVO:  # it pushes no further than its reference moves on
             result.clamping_force = min(result.clamping_force, result.force_bound)
-        elif result.clamping_force > min(case.force for case in self.cases):
+        elif result.clamping_force > (weakest := weakest_case(self.cases)).force:
             result.allowable_speed, result.verdict = 0.0, Verdict.VIOLATION
-            result.reason, result.reason_values = Reason.CLAMPED, (result.clamping_force,)
+            region = 1 + self.limits.index(weakest.limit)
+            values = (result.clamping_force, weakest.limit.permissible_force_n, region)
+            result.reason, result.reason_values = Reason.CLAMPED, values
 
     def _judge(self, result: ContactResult, mass: float, nominal_speed: float, limit_speed: float) -> None:
         """Add the verdict on this joint state alone, and why it is not OK."""

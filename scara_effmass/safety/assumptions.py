@@ -17,7 +17,7 @@ from scara_effmass.codes import Assumption
 from scara_effmass.model.lumping import lumped_suffices
 from scara_effmass.model.robot import Robot
 from scara_effmass.reference import RobotDynamics
-from scara_effmass.settings import MassModel, MonitorSettings
+from scara_effmass.settings import PAYLOAD_CONTACT, MassModel, MonitorSettings
 
 Codes = tuple[Assumption, ...]
 
@@ -72,7 +72,7 @@ RULES: Mapping[Assumption, Rule] = {
         parameters=("contact_points",),
         text="contact points not stated, only the end of the arm is watched: --contact-point whole_arm, or each that "
         "can hit",
-        is_stated=lambda robot: bool(robot.hulls),
+        is_stated=lambda robot: bool({*robot.hulls} - {PAYLOAD_CONTACT}),
     ),
     Assumption.MASSES: Rule(
         is_permissive=True,

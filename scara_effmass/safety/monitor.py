@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from scara_effmass.codes import Reason
 from scara_effmass.errors import EffmassError, KernelError, RobotError
-from scara_effmass.iso15066 import Limit, limits_for
+from scara_effmass.iso15066 import Limit, limits_of
 from scara_effmass.kernel import jit
 from scara_effmass.kernel.admission import METRES_PER_RADIAN, NANOSECONDS, WINDOW_S, admit, forget_all
 from scara_effmass.kernel.contact_kernel import ContactKernel, too_large
@@ -164,7 +164,7 @@ class Monitor:
             self._doubt(field)
 
     def check(self, settings: MonitorSettings) -> tuple[Limit, ...]:
-        """Return the limits of `settings`. Raises LimitError or RobotError for what `apply` refuses."""
+        """Return the limits of the first contact. Raises LimitError or RobotError for what `apply` refuses."""
         if settings.payload != self.settings.payload:
             self.dynamics.robot.rebuild(settings)
         if self.dynamics.robot.hulls and settings.contact_normal != "worst":
@@ -175,7 +175,7 @@ class Monitor:
         self.dynamics.frame_index(settings.contact_normal_frame, "contact_normal_frame")
         self.dynamics.frame_index(settings.test_direction_frame, "test_direction_frame")
         self.dynamics.frame_index(settings.person_direction_frame, "person_direction_frame")
-        return limits_for(settings)
+        return limits_of(settings, self.dynamics.contact_points)[0]
 
     def apply(self, settings: MonitorSettings) -> None:
         """Apply changed settings; of the robot, only the payload. Raises as `check`, and then changes nothing."""
@@ -209,11 +209,11 @@ class Monitor:
         self.assumptions = assumptions_of(robot, settings)
         self._rules["is_assumed"] = bool(self.assumptions.limiting)
         self._texts = ReasonTexts.of(self.dynamics, settings, self._limits, self.assumptions)
-        self._reference = ReferenceChannel(self.dynamics, settings, self._limits)
+        self._reference = ReferenceChannel(self.dynamics, settings)
         if self._why_reference:
             self._kernel: ContactKernel | ReferenceChannel = self._reference
         else:
-            self._kernel = ContactKernel(self.dynamics, settings, self._limits)
+            self._kernel = ContactKernel(self.dynamics, settings)
         self._until_check = CHECK_INTERVAL // len(self.dynamics.contacts)
         self._next_checked = 0
         self._unknown = unknown_numbers(0.0 if robot.masses_reason else robot.iso_mass)

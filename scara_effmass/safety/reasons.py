@@ -85,7 +85,7 @@ TEXTS = {
     ),
     Reason.LIGHT_MODEL: "the {choice} mass of {v[4]:.3g} kg is below the {best} model's {v[5]:.3g} kg",
     Reason.ASSUMED: "{assumed}",
-    Reason.CLAMPED: "the drives can clamp with {v[0]:.0f} N, above the {weakest}, at any speed",
+    Reason.CLAMPED: "the drives can clamp with {v[0]:.0f} N, above the {v[1]:.0f} N of {region}, at any speed",
     Reason.TURNS: (
         "{joint} accelerates: until the peak of a contact it would turn {v[0]:.2g} {unit} further than at constant "
         "velocity, more than the force is computed for"
@@ -135,9 +135,8 @@ class ReasonTexts:
     def of(
         cls, dynamics: RobotDynamics, settings: MonitorSettings, limits: Sequence[Limit], assumptions: Assumptions
     ) -> ReasonTexts:
-        """Return the texts of a robot under `limits`, those of `settings`."""
+        """Return the texts of a robot under `limits`, those of a contact under `settings`."""
         robot, full_reason, choice = dynamics.robot, dynamics.full_reason, settings.effective_mass_model.value
-        weakest = min(limits, key=lambda limit: limit.permissible_force_n)
         margin = f"more than {100.0 * settings.model_margin:.3g} % lighter than the full model"
         largest = "lumped" if lumped_suffices(robot) else "lumped and iso"
         massless = (f"{joint} moves the contact point along n, but no lumped mass" for joint in robot.joint_names)
@@ -164,7 +163,6 @@ class ReasonTexts:
                 "choice": choice,
                 "best": "lumped" if full_reason else "full",
                 "min_mass": MIN_EFFECTIVE_MASS,
-                "weakest": f"{weakest.permissible_force_n:.0f} N of {weakest.region}",
             },
             scope=scope(robot, settings),
         )
@@ -194,6 +192,8 @@ class ReasonTexts:
             fields |= {"speed": at_least(numbers[0], digits), "allowed": at_most(numbers[1], digits)}
         if is_speed:
             fields |= {"criterion": CRITERIA[int(numbers[2])], "region": self.regions[int(numbers[3])]}
+        elif code is Reason.CLAMPED:
+            fields["region"] = self.regions[int(numbers[2])]
         elif code is Reason.NO_LUMPED_MASS:
             fields["lumped"] = self.lumped[int(numbers[0])]
         elif code in {Reason.TOO_LIGHT, Reason.NO_WORST_MASS}:

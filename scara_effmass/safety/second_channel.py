@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from scara_effmass.iso15066 import Limit
+from scara_effmass.iso15066 import limits_of
 from scara_effmass.kernel.records import CONTACT, FIELDS, REASON_SIZE, ByteArray
 from scara_effmass.kernel.state import CODE, JOINT, STATE, VALUES
 from scara_effmass.reference import ContactResult, JointAcceleration, RobotDynamics, assess
@@ -26,8 +26,10 @@ SINGULAR = 1e-6
 class ReferenceChannel:
     """Assesses joint states one by one with the reference, in place of `ContactKernel`."""
 
-    def __init__(self, dynamics: RobotDynamics, settings: MonitorSettings, limits: tuple[Limit, ...]) -> None:
-        self._dynamics, self._settings, self._limits = dynamics, settings, limits
+    def __init__(self, dynamics: RobotDynamics, settings: MonitorSettings) -> None:
+        """Assess contacts of `dynamics`. Raises LimitError."""
+        self._dynamics, self._settings = dynamics, settings
+        self._limits = limits_of(settings, dynamics.contact_points)
         cancels = settings.drives is Drives.SERVO or settings.contact is ContactType.QUASI_STATIC
         self._tolerance = CANCELLED if cancels else AGREEMENT
 

@@ -19,6 +19,7 @@ from scara_effmass.settings.daq import (
 )
 from scara_effmass.settings.loading import checked, load_settings
 from scara_effmass.settings.monitor import (
+    PAYLOAD_CONTACT,
     WHOLE_ARM,
     ContactType,
     Drives,
@@ -33,6 +34,7 @@ from scara_effmass.settings.monitor import (
 from scara_effmass.settings.validator import CriterionSettings, ValidatorSettings
 
 __all__ = [
+    "PAYLOAD_CONTACT",
     "WHOLE_ARM",
     "BagSettings",
     "ContactType",

@@ -5,7 +5,7 @@ import math
 import re
 from enum import Enum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 from pydantic import Field, ValidationInfo, field_validator
 from typing_extensions import Self
@@ -14,6 +14,9 @@ from scara_effmass.codes import Assumption
 from scara_effmass.settings.loading import FrozenSettings, checked, fixed, nearest, tunable
 from scara_effmass.share import share
 from scara_effmass.values import Payload, Vector3
+
+MAX_CONTACT_AREA_M2 = 0.1
+"""Largest contact area that can be stated."""
 
 
 class MassModel(str, Enum):
@@ -102,8 +105,22 @@ class LumpingSettings(FrozenSettings):
     )
 
 
-WHOLE_ARM = "whole_arm"
-"""Contact point that stands for every link with geometry."""
+SHAPE_SIZES = {"box": 3, "sphere": 1, "cylinder": 2, "capsule": 2}
+"""Number of sizes of each shape: edges, or radius and length along z, of a capsule without its caps."""
+MAX_SIZE_M = 10.0
+"""Largest size and distance of a shape that can be stated."""
+
+
+class Shape(NamedTuple):
+    """Shape of a `kind` of SHAPE_SIZES with its `sizes` and its `centre` [m]."""
+
+    kind: str
+    sizes: tuple[float, ...]
+    centre: tuple[float, ...]
+
+
+PAYLOAD_CONTACT, WHOLE_ARM = "payload", "whole_arm"
+"""Contact of `payload_shape`, and the contact point that stands for every link with geometry."""
 
 
 class MonitorSettings(FrozenSettings):
@@ -123,8 +140,8 @@ class MonitorSettings(FrozenSettings):
     contact_points: tuple[str, ...] = fixed(
         (),
         'points to watch: a link (URDF) or point (DH YAML) by name, or "name=link: x y z", a point in the frame '
-        "of a link [m]; whole_arm: besides, every link with geometry; empty: all points of a DH file, the tip of the "
-        "longest chain of a URDF and whole_arm, if all meshes are found and contact_normal is worst",
+        "of a link [m]; whole_arm: besides, every link with geometry; empty: all points of a DH file or the tip of the "
+        "longest chain of a URDF, and whole_arm where there is geometry, if contact_normal is worst",
     )
     contact_links: tuple[str, ...] = fixed(
         ("*",), "links that whole_arm watches, by name or glob pattern; name all but those that cannot touch a person"
@@ -174,6 +191,11 @@ class MonitorSettings(FrozenSettings):
             "inertia of payload_mass about its centre of mass, in the axes of payload_com, as ixx, iyy, izz, ixy, ixz, "
             "iyz [kg m2]; all 0: a point mass",
         )
+    )
+    payload_shape: tuple[str, ...] = fixed(
+        (),
+        "shapes around tool and payload in the frame of payload_com [m], watched as one link: box X Y Z, sphere "
+        'RADIUS, cylinder or capsule RADIUS LENGTH along z, with a centre: "box 0.1 0.1 0.2 at 0 0 0.1"',
     )
     payload_topic: str = fixed(
         "",
@@ -270,7 +292,12 @@ class MonitorSettings(FrozenSettings):
         (), "body regions that the robot can hit; empty: every region with a limit for this contact"
     )
     contact: ContactType = tunable(ContactType.TRANSIENT, "transient (free impact) or quasi_static (clamped)")
-    contact_area_m2: float = tunable(1e-4, "contact area for the pressure limit [m2]", gt=0.0, le=0.1)
+    contact_area_m2: float = tunable(1e-4, "contact area for the pressure limit [m2]", gt=0.0, le=MAX_CONTACT_AREA_M2)
+    contact_areas: tuple[str, ...] = tunable(
+        (),
+        '"contact=area" [m2] in place of contact_area_m2 for a contact point or link, by name or glob pattern: the '
+        "first that matches counts",
+    )
     contact_damping: float = tunable(
         0.0,
         "damping ratio of the contact (Kelvin-Voigt), which can raise the peak force; 0: an elastic one",
@@ -365,6 +392,18 @@ class MonitorSettings(FrozenSettings):
         _limits(entries)
         return entries
 
+    @field_validator("contact_areas")
+    @classmethod
+    def _check_contact_areas(cls, entries: tuple[str, ...]) -> tuple[str, ...]:
+        _areas(entries)
+        return entries
+
+    @field_validator("payload_shape")
+    @classmethod
+    def _check_payload_shape(cls, entries: tuple[str, ...]) -> tuple[str, ...]:
+        _shapes(entries)
+        return entries
+
     @field_validator("payload_topic")
     @classmethod
     def _check_payload_topic(cls, topic: str, info: ValidationInfo) -> str:
@@ -379,8 +418,11 @@ class MonitorSettings(FrozenSettings):
     def _check_contact_normal(cls, text: str, info: ValidationInfo) -> str:
         if text not in {"worst", "velocity"} and unit_vector(text) is None:
             raise ValueError('must be worst, velocity, or three numbers that are not all 0, such as "0 0 1"')
-        if WHOLE_ARM in info.data.get("contact_points", ()) and text != "worst":
-            raise ValueError(f"must be worst with contact_points = {WHOLE_ARM}: no bound holds for a known one")
+        stated = {"contact_points": WHOLE_ARM in info.data.get("contact_points", ()) and WHOLE_ARM}
+        stated["payload_shape"] = ", ".join(info.data.get("payload_shape", ()))
+        for name, value in stated.items():
+            if value and text != "worst":
+                raise ValueError(f"must be worst with {name} = {value}: no bound holds for a known one")
         return text
 
     @field_validator("contact_friction")
@@ -389,6 +431,11 @@ class MonitorSettings(FrozenSettings):
         if friction > 0.0 and info.data.get("contact_normal", "worst") != "worst":
             raise ValueError("must be 0 unless contact_normal is worst: no bound holds for a known one")
         return friction
+
+    @property
+    def watches_links(self) -> bool:
+        """Whether links with geometry are watched as a whole: if asked for, and by default."""
+        return WHOLE_ARM in (self.contact_points or (WHOLE_ARM,)) and self.contact_normal == "worst"
 
     @property
     def filters_velocity(self) -> bool:
@@ -430,6 +477,16 @@ class MonitorSettings(FrozenSettings):
     def joint_renames(self) -> list[tuple[re.Pattern[str], str]]:
         """Pattern of the reported name, and template of the robot's name, for each entry of `joint_map`."""
         return _renames(self.joint_map)
+
+    @property
+    def payload_shapes(self) -> list[Shape]:
+        """Each entry of `payload_shape`."""
+        return _shapes(self.payload_shape)
+
+    @property
+    def stated_areas(self) -> dict[str, float]:
+        """Contact area [m2] by glob pattern of the contact, of each entry of `contact_areas`."""
+        return _areas(self.contact_areas)
 
     @property
     def position_limits(self) -> dict[str, tuple[float, float]]:
@@ -475,6 +532,46 @@ def _limits(entries: tuple[str, ...]) -> dict[str, tuple[float, float]]:
             raise ValueError(f'{entry!r}: must be "joint=lower upper" with lower < upper')
         limits[joint] = lower, upper
     return limits
+
+
+def _shapes(entries: tuple[str, ...]) -> list[Shape]:
+    shapes = []
+    for entry in entries:
+        kind, _, rest = entry.strip().partition(" ")
+        sizes, _, centre = rest.partition(" at ")
+        try:
+            shape = Shape(kind, _numbers(sizes), _numbers(centre or "0 0 0"))
+        except ValueError:
+            shape = Shape(kind, (), ())
+        is_in_range = all(0.0 < size <= MAX_SIZE_M for size in shape.sizes)
+        is_in_range &= all(abs(distance) <= MAX_SIZE_M for distance in shape.centre)
+        if not is_in_range or len(shape.sizes) != SHAPE_SIZES.get(kind) or len(shape.centre) != len("xyz"):
+            raise ValueError(
+                f"{entry!r}: must be box X Y Z, sphere RADIUS, cylinder RADIUS LENGTH or capsule RADIUS LENGTH, then "
+                f"at X Y Z or nothing; sizes above 0, all numbers at most {MAX_SIZE_M:g} m"
+            )
+        shapes.append(shape)
+    return shapes
+
+
+def _numbers(text: str) -> tuple[float, ...]:
+    return tuple(map(float, text.split()))
+
+
+def _areas(entries: tuple[str, ...]) -> dict[str, float]:
+    areas: dict[str, float] = {}
+    for entry in entries:
+        contact, _, text = (part.strip() for part in entry.rpartition("="))
+        try:
+            area = float(text)
+        except ValueError:
+            area = 0.0
+        if not contact or not 0.0 < area <= MAX_CONTACT_AREA_M2:
+            raise ValueError(f'{entry!r}: must be "contact=area", above 0 and at most {MAX_CONTACT_AREA_M2:g} m2')
+        if contact in areas:
+            raise ValueError(f"{entry!r}: must state the area of {contact} once")
+        areas[contact] = area
+    return areas
 
 
 def unit_vector(text: str) -> Vector3 | None:

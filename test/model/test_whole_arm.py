@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from scara_effmass.codes import Assumption
-from scara_effmass.errors import RobotError, SettingsError
+from scara_effmass.errors import LimitError, RobotError, SettingsError
 from scara_effmass.model.load import load_robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
@@ -118,17 +118,84 @@ def test_a_robot_without_geometry_keeps_its_points_and_says_so(arm: Path) -> Non
     assert "no link has geometry: only the contact points are watched" in robot.notes
 
 
-def test_boxes_of_a_dh_file_are_links_as_a_whole(tmp_path: Path) -> None:
-    settings = MonitorSettings(contact_points=("whole_arm",))
+@pytest.mark.parametrize("points", [(), ("whole_arm",)])
+def test_boxes_of_a_dh_file_are_links_as_a_whole(tmp_path: Path, points: tuple[str, ...]) -> None:
+    settings = MonitorSettings(contact_points=points)
     dynamics = RobotDynamics(load_robot(share("config", "omron_i4_550l.yaml"), settings))
-    assert dynamics.contact_points[-4:] == ("link1", "link2", "link3", "link4")
+    assert dynamics.contact_points == ("tool", "elbow", "link1", "link2", "link3", "link4")
     link2 = dynamics.robot.hulls["link2"]
     assert np.ptp(link2, axis=0) == pytest.approx([0.425, 0.15, 0.2], abs=1e-3)
     path = tmp_path / "bare.yaml"
     text = share("config", "omron_i4_550l.yaml").read_text(encoding="utf-8")
     path.write_text(re.sub(r", boxes: \[.*\]}", "}", text), encoding="utf-8")
-    with pytest.raises(RobotError, match="contact_points = 'whole_arm': no link has boxes: state them, or name points"):
-        load_robot(path, settings)
+    if points:
+        with pytest.raises(RobotError, match="contact_points = 'whole_arm': no link has boxes: state them, or name"):
+            load_robot(path, settings)
+    else:
+        assert not load_robot(path, settings).hulls
+
+
+def test_boxes_of_the_payload_of_a_dh_file_are_a_link(tmp_path: Path) -> None:
+    text = share("config", "omron_i4_550l.yaml").read_text(encoding="utf-8")
+    boxes = "payload:\n  boxes: [{center: [0.0, 0.0, 0.1], size: [0.2, 0.1, 0.04]}]\n  "
+    path = tmp_path / "gripper.yaml"
+    path.write_text(text.replace("payload:              #", f"{boxes}#"), encoding="utf-8")
+    robot = load_robot(path)
+    tool = robot.model.frames[robot.contact_frames["tool"]].placement
+    corners = np.unique((robot.hulls["payload"] @ tool.rotation).round(6), axis=0)
+    assert [*robot.contact_frames][-1] == "payload"
+    assert np.ptp(corners, axis=0) == pytest.approx([0.2, 0.1, 0.04], abs=1e-5)
+    assert corners.mean(axis=0) == pytest.approx([0.0, 0.0, 0.1], abs=1e-5)
+
+
+@pytest.mark.parametrize("points", [(), ("flange",)])
+def test_the_shape_of_the_payload_is_a_contact(arm: Path, points: tuple[str, ...]) -> None:
+    """In the frame of the payload, which carries it; a box, and a rod along z."""
+    shapes = ("box 0.2 0.1 0.04 at 0.1 0 0", "cylinder 0.01 0.3")
+    settings = MonitorSettings(contact_points=points, payload_shape=shapes, payload_mass=1.0)
+    robot = load_robot(arm, settings)
+    hull = robot.hulls["payload"]
+    placed = robot.model.frames[robot.contact_frames["payload"]].placement
+    assert placed == robot.model.frames[next(iter(robot.contact_frames.values()))].placement
+    local = hull - placed.translation
+    beyond = np.concatenate([local.max(axis=0) - [0.2, 0.05, 0.15], [-0.01, -0.05, -0.15] - local.min(axis=0)])
+    assert (beyond > -1e-9).all()
+    assert (beyond < 0.02).all()
+    monitor = Monitor(RobotDynamics(robot), settings)
+    contacts = monitor.assess_configurations(np.array([[0.0, 0.5]]), np.array([[1.0, 0.5]])).contacts[0]
+    assert np.abs(contacts["position_in_link"][-1]).max() > 0.04
+
+
+def test_what_no_payload_shape_can_be_is_refused(arm: Path) -> None:
+    for entry in ("box 0.1 0.1", "cone 1 1", "sphere -1", "sphere nan", "sphere 0.1 at 1 2", "sphere 11"):
+        with pytest.raises(SettingsError, match=r"payload_shape.*: must be box X Y Z, sphere RADIUS, cylinder"):
+            checked(MonitorSettings, {"payload_shape": [entry]}, "monitor")
+    values = {"payload_shape": ["sphere 0.1"], "contact_normal": "0 0 1"}
+    with pytest.raises(SettingsError, match=r"contact_normal.*must be worst with payload_shape = sphere 0.1"):
+        checked(MonitorSettings, values, "monitor")
+    with pytest.raises(RobotError, match="payload_shape: another contact has the name payload: rename it"):
+        load_robot(arm, MonitorSettings(contact_points=("payload=forearm",), payload_shape=("sphere 0.1",)))
+
+
+def test_contact_areas_are_those_of_contacts_that_exist(arm: Path) -> None:
+    settings = MonitorSettings(contact_points=("whole_arm", "flange"))
+    dynamics = RobotDynamics(load_robot(arm, settings))
+    monitor = Monitor(dynamics, settings)
+    motion = np.array([[0.0, 0.5]]), np.array([[1.0, 0.5]])
+    before = monitor.assess_configurations(*motion).contacts[0]["allowable_speed"]
+    monitor.apply(settings.model_copy(update={"contact_areas": ("*arm=2e-5",)}))
+    after = monitor.assess_configurations(*motion).contacts[0]["allowable_speed"]
+    assert (after < before).tolist() == [False, True, True, False]
+    with pytest.raises(LimitError, match="contact_areas = 'hand': must match one of the contacts flange, upper_arm, "):
+        monitor.apply(settings.model_copy(update={"contact_areas": ("hand=2e-5",)}))
+
+
+@pytest.mark.parametrize("entry", ["arm", "arm=", "=1e-4", "arm=0", "arm=-1e-4", "arm=0.2", "arm=nan", "arm=x"])
+def test_what_no_contact_area_can_be_is_refused(entry: str) -> None:
+    with pytest.raises(SettingsError, match=r'contact_areas.*: must be "contact=area", above 0 and at most 0.1 m2'):
+        checked(MonitorSettings, {"contact_areas": [entry]}, "monitor")
+    with pytest.raises(SettingsError, match="must state the area of arm once"):
+        checked(MonitorSettings, {"contact_areas": ["arm=1e-4", "arm=2e-4"]}, "monitor")
 
 
 def test_a_known_contact_normal_is_refused() -> None:
