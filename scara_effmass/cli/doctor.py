@@ -20,6 +20,7 @@ import numpy as np
 
 from scara_effmass import __version__
 from scara_effmass.analysis.lumped_model import compare_models
+from scara_effmass.analysis.summary import shares
 from scara_effmass.cli.console import LEVEL_STYLES, print_findings, print_json, print_table, printer
 from scara_effmass.cli.options import load_dynamics, monitor_settings
 from scara_effmass.codes import ModelCode
@@ -253,13 +254,11 @@ def _tightest(dynamics: RobotDynamics, settings: MonitorSettings) -> Iterator[Ch
         return
     q = dynamics.robot.sample_configurations(COMPARED_POSES)
     qd = np.random.default_rng(1).normal(size=q.shape)
-    contacts = monitor.assess_configurations(q, qd).contacts
-    known = contacts[(contacts["verdict"] != Verdict.UNKNOWN).all(axis=1)]
-    tightest = np.argmin(known["allowable_speed"] / np.maximum(known["speed"], math.ulp(1.0)), axis=1)
-    counts = Counter(dynamics.contact_points[index] for index in tightest.tolist())
-    if counts:
-        shares = ", ".join(f"{point} {count / len(known):.0%}" for point, count in counts.most_common())
-        yield CheckResult("ok", "tightest contact", f"{shares} of {len(known)} random motions")
+    assessed = monitor.assess_configurations(q, qd)
+    tightest = assessed.deciding()[(assessed.contacts["verdict"] != Verdict.UNKNOWN).all(axis=1)]
+    if len(tightest):
+        counts = Counter(dynamics.contact_points[index] for index in tightest.tolist())
+        yield CheckResult("ok", "tightest contact", f"{shares(counts)} of {len(tightest)} random motions")
 
 
 def _comparison(dynamics: RobotDynamics, margin: float) -> Iterator[CheckResult]:
