@@ -13,6 +13,7 @@ from base64 import b64encode
 from collections.abc import Iterable, Iterator, Mapping
 from functools import lru_cache
 from io import BytesIO
+from itertools import cycle, islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -23,6 +24,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from pydantic import BaseModel
@@ -56,6 +58,7 @@ INK = "#222222"
 CYCLE = ("#0072B2", "#E69F00", "#009E73", "#CC79A7")
 """Colour-blind-safe palette of Okabe and Ito."""
 MARKERS = "os^D"
+MANY_COLORS = (*CYCLE, "#56B4E9", "#D55E00", "#F0E442", "#999999")
 
 
 class PageOptions(NamedTuple):
@@ -220,6 +223,12 @@ def print_pdf(page: str) -> bytes:
             return (folder / PDF).read_bytes()
         except (OSError, subprocess.TimeoutExpired):
             raise OutputError(f"--pdf: {browser} printed no page") from None
+
+
+def distinct_colors(count: int) -> list[str]:
+    """Return `count` colours: colour-blind-safe ones for up to 8; beyond 20 they repeat."""
+    colors = MANY_COLORS if count <= len(MANY_COLORS) else mpl.color_sequences["tab20"]
+    return [to_hex(color) for color in islice(cycle(colors), count)]
 
 
 def new_figure(width: float, height: float, title: str) -> Figure:

@@ -138,8 +138,8 @@ class RunReport:
                 "start_s": episode.start,
                 "duration_s": episode.stop - episode.start,
                 "min_margin_m_s": None if math.isnan(episode.min_margin) else episode.min_margin,
-                "positions": dict(episode.positions),
                 "body_region": episode.body_region,
+                "positions": dict(episode.positions),
                 "reason": episode.reason,
                 "remedy": remedy(episode.reason_code),
             }

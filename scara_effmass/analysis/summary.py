@@ -70,6 +70,13 @@ def mass_model_counts(
     return counts
 
 
+def shares(counts: Mapping[str, int]) -> str:
+    """Return names with their shares of all `counts`, the largest first, without those of 0; empty if all are 0."""
+    total = sum(counts.values())
+    most_common = sorted(counts.items(), key=lambda item: -item[1])
+    return ", ".join(f"{name} {count / total:.1%}" for name, count in most_common if count)
+
+
 class TightestMargin(NamedTuple):
     """The assessment with the smallest margin, which is never UNKNOWN, its stamp, recording and joint positions."""
 
@@ -242,9 +249,8 @@ class Summary:
             yield "gaps", f"{self.gaps} longer than the timeout, the longest {self.max_gap_ns / 1e9:.3f} s"
         if self.tightest is not None:
             yield from self.tightest.lines()
-        if len(self.deciding) > 1 and (total := self.deciding.total()):
-            shares = (f"{point} {count / total:.1%}" for point, count in self.deciding.most_common() if count)
-            yield "decided by", ", ".join(shares)
+        if len(self.deciding) > 1 and (deciding := shares(self.deciding)):
+            yield "decided by", deciding
         for model, count in self.mass_models.most_common():
             yield "mass model", f"{model} ({count / self.mass_models.total():.1%})"
         reasons = list(self.reason_counts().items())

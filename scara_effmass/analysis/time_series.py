@@ -25,10 +25,9 @@ NO_JOINT_STATE = "no joint state"
 
 
 class Change(NamedTuple):
-    """Reason of a verdict with its code, body region and joint positions by name [rad, m], at its first joint state."""
+    """Reason of a verdict with its code and joint positions by name [rad, m], at its first joint state."""
 
     reason: str = ""
-    body_region: str = ""
     positions: Mapping[str, float] = MappingProxyType({})
     reason_code: Reason = Reason.NONE
 
@@ -38,13 +37,16 @@ class TimeSeries:
     """Assessments at `time` (m,) [s] since `start_ns`; unknown values are NaN. Speeds [m/s], masses [kg].
 
     `changes` are the changes of the verdict by index. `mass_models` counts the mass models with the reasons for them.
+    `body_region` holds indices of `regions`, of which the first is empty: no region.
     """
 
     start_ns: int
     changes: Mapping[int, Change]
     mass_models: Counter[str]
+    regions: tuple[str, ...]
     time: FloatArray
-    verdict: NDArray[np.int64]
+    verdict: NDArray[np.int32]
+    body_region: NDArray[np.int32]
     speed: FloatArray
     allowable_speed: FloatArray
     margin: FloatArray
@@ -62,26 +64,28 @@ class TimeSeries:
             changes={},
             time=np.insert(self.time, gaps, self.time[gaps - 1] + timeout),
             verdict=np.insert(self.verdict, gaps, Verdict.UNKNOWN),
+            body_region=np.insert(self.body_region, gaps, 0),
             **values,
         )
 
 
-_VALUES = tuple(field.name for field in fields(TimeSeries))[5:]
-_ROW = np.dtype([("stamp_ns", "i8"), ("verdict", "i8"), *((name, "f8") for name in _VALUES)])
+_VALUES = tuple(field.name for field in fields(TimeSeries))[7:]
+_ROW = np.dtype([("stamp_ns", "i8"), ("verdict", "i4"), ("body_region", "i4"), *((name, "f8") for name in _VALUES)])
 
 
 class Episode(NamedTuple):
     """An interval of one verdict, from `start` to `stop` [s] since the first joint state.
 
-    `min_margin` [m/s] is NaN where no margin is known; the other fields are those of the `Change` before it.
+    `min_margin` [m/s] is NaN where no margin is known. `body_region` governs at the joint state with that margin, or at
+    the first one; the other fields are those of the `Change` before the interval.
     """
 
     start: float
     stop: float
     verdict: Verdict
     min_margin: float
+    body_region: str
     reason: str
-    body_region: str = ""
     positions: Mapping[str, float] = MappingProxyType({})
     reason_code: Reason = Reason.NONE
 
@@ -94,6 +98,7 @@ class TimeSeriesBuilder:
         self._rows = [np.empty(0, _ROW)]
         self._count = 0
         self._changes: dict[int, Change] = {}
+        self._regions = {"": 0}
         self._mass_models: Counter[str] = Counter()
 
     def add(self, states: AssessedStates, point: int) -> None:
@@ -103,6 +108,8 @@ class TimeSeriesBuilder:
         rows = np.empty(len(states), _ROW)
         for name in ("verdict", *_VALUES):
             rows[name] = contacts[name]
+        regions = [self._regions.setdefault(region, len(self._regions)) for region in labels["body_region"]]
+        rows["body_region"] = np.array(regions)[contacts["body_region"].astype(np.int64)]
         known, decided = contacts["effective_mass"] > 0.0, rows["verdict"] != Verdict.UNKNOWN
         rows["stamp_ns"] = np.where(known, assessments.states["stamp_ns"], states.log_time_ns)
         for is_valid, names in (
@@ -114,9 +121,8 @@ class TimeSeriesBuilder:
                 rows[name][~is_valid] = NAN
         before = self._rows[-1]["verdict"][-1] if self._count else -1
         for row in np.flatnonzero(np.diff(rows["verdict"], prepend=before)).tolist():
-            region, code = labels["body_region"][int(contacts["body_region"][row])], contacts["reason"][row, CODE]
-            change = assessments.reason(row, point), region, states.positions(row), Reason(int(code))
-            self._changes[self._count + row] = Change(*change)
+            code = Reason(int(contacts["reason"][row, CODE]))
+            self._changes[self._count + row] = Change(assessments.reason(row, point), states.positions(row), code)
         self._mass_models += mass_model_counts(contacts, labels)
         self._count += len(states)
         self._rows.append(rows)
@@ -131,8 +137,9 @@ class TimeSeriesBuilder:
             start_ns=start_ns,
             changes={int(rank[index]): change for index, change in self._changes.items()},
             mass_models=self._mass_models,
+            regions=tuple(self._regions),
             time=(rows["stamp_ns"] - start_ns) / 1e9,
-            **{name: rows[name].copy() for name in ("verdict", *_VALUES)},
+            **{name: rows[name].copy() for name in ("verdict", "body_region", *_VALUES)},
         )
 
 
@@ -171,9 +178,11 @@ def intervals(series: TimeSeries, timeout: float) -> Iterator[Episode]:
         end = float(time[min(stop, len(time) - 1)])
         last = min(end, float(time[stop - 1]) + timeout)
         margins = series.margin[start:stop]
-        min_margin = NAN if np.isnan(margins).all() else float(np.nanmin(margins))
+        tightest = start if np.isnan(margins).all() else start + int(np.nanargmin(margins))
+        region = series.regions[series.body_region[tightest]]
         number = bisect_right(changes, start)
         change = series.changes[changes[number - 1]] if number else Change()
-        yield Episode(float(time[start]), last, Verdict(verdict[start]), min_margin, *change)
+        margin = float(series.margin[tightest])
+        yield Episode(float(time[start]), last, Verdict(verdict[start]), margin, region, *change)
         if end > last:
-            yield Episode(last, end, Verdict.UNKNOWN, NAN, NO_JOINT_STATE, reason_code=Reason.GAP)
+            yield Episode(last, end, Verdict.UNKNOWN, NAN, "", NO_JOINT_STATE, reason_code=Reason.GAP)

@@ -2,7 +2,8 @@
 """Maps over the workspace of a contact point: masses, allowable speed and bound, for any arm and direction.
 
 The monitor assesses a motion along the direction in many configurations of the joints. Each cell of a map holds the
-worst of the sampled configurations that reach it; one between them may be worse.
+worst of the sampled configurations that reach it; one between them may be worse. The motion moves other contacts, too:
+the contact that decides reaches its limit first as the motion gets faster.
 """
 
 from __future__ import annotations
@@ -17,9 +18,13 @@ from typing import Any, NamedTuple
 import matplotlib as mpl
 import numpy as np
 import pyarrow as pa
+from matplotlib.axes import Axes
+from matplotlib.collections import QuadMesh
+from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
-from scara_effmass.analysis.report import ISO_RED, STYLE, new_figure
+from scara_effmass.analysis.report import ISO_RED, STYLE, distinct_colors, new_figure
 from scara_effmass.errors import RobotError
 from scara_effmass.model.poses import ManyPoses
 from scara_effmass.model.robot import Robot
@@ -86,6 +91,11 @@ class WorkspaceSample(NamedTuple):
     def contacts(self) -> Records:
         """The assessments (m,) of the contact point, of dtype CONTACT."""
         return self.assessed.contacts[:, 0]
+
+    @property
+    def speed_of_all(self) -> FloatArray:
+        """Speed of the contact point (m,) [m/s] at which the first of all contacts reaches its limit."""
+        return np.asarray(self.contacts["speed"] / self.assessed.limit_shares.max(axis=1))
 
     def masses(self, field: str) -> FloatArray:
         """Return a mass of the assessments (m,) [kg], NaN without a verdict."""
@@ -194,43 +204,77 @@ class Cells:
         np.fmax.at(result, self.of, values)
         return result
 
-    def draw(self, title: str, panels: Mapping[str, FloatArray], iso_mass: float | None = None) -> Figure:
+    def smallest(self, values: FloatArray) -> NDArray[np.int64]:
+        """Return the index of the smallest of `values` (m,) in each cell (c,)."""
+        order = np.lexsort((values, self.of))
+        indices: NDArray[np.int64] = order[np.unique(self.of[order], return_index=True)[1]]
+        return indices
+
+    def draw(
+        self,
+        title: str,
+        panels: Mapping[str, FloatArray],
+        iso_mass: float | None = None,
+        deciding: Sequence[str] = (),
+    ) -> Figure:
         """Return a figure with a map of the values (c,) of each of `panels`, by label; bright is unfavourable.
 
-        `iso_mass` [kg] is drawn on the first colour bar.
+        `iso_mass` [kg] is drawn on the first colour bar. `deciding` (c,) names contacts, for a panel of its own.
         """
-        first, last = self._corners.min(axis=0), self._corners.max(axis=0)
-        edges = [self.size * np.arange(low, high + 2) for low, high in zip(first, last, strict=True)]
-        x, y = (f"{AXES[axis]} [m]" for axis in self.axes)
         with mpl.rc_context(STYLE):
-            columns = min(len(panels), 2)
-            rows = -(-len(panels) // columns)
+            count = len(panels) + bool(deciding)
+            columns = min(count, 2)
+            rows = -(-count // columns)
             figure = new_figure(max(6.2 * columns, 8.5), 5.2 * rows + 0.3, title)
             for number, (label, values) in enumerate(panels.items()):
                 axes = figure.add_subplot(rows, columns, number + 1)
-                table = np.full(last - first + 1, np.nan)
-                table[tuple((self._corners - first).T)] = values
                 is_speed = label.endswith("[m/s]")
                 top = np.nanpercentile(values, 100.0 if is_speed else COLOUR_PERCENTILE)
-                mesh = axes.pcolormesh(
-                    *edges, table.T, cmap="cividis_r" if is_speed else "cividis", vmax=top, rasterized=True
-                )
+                mesh = self._draw_cells(axes, values, cmap="cividis_r" if is_speed else "cividis", vmax=top)
                 bar = figure.colorbar(mesh, ax=axes, label=label, extend="neither" if is_speed else "max")
-                axes.plot(0.0, 0.0, "+", color=ISO_RED, markersize=10.0)
-                axes.set(xlabel=x, ylabel=y, aspect="equal")
                 axes.set_title(f"({'abcdefgh'[number]})")
                 if iso_mass is not None and number == 0:
                     bar.ax.axhline(iso_mass, color=ISO_RED, linewidth=2.5)
                     axes.set_title(f"(a)  red on the scale: ISO, M/2 + m_L = {iso_mass:.2f} kg")
+            if deciding:
+                axes = figure.add_subplot(rows, columns, count)
+                axes.set_title(f"({'abcdefgh'[count - 1]})")
+                self._draw_contacts(axes, deciding)
         return figure
+
+    def _draw_cells(self, axes: Axes, values: Sequence[float] | FloatArray, **style: Any) -> QuadMesh:  # noqa: ANN401
+        """Draw the values (c,) of the cells and the base."""
+        first, last = self._corners.min(axis=0), self._corners.max(axis=0)
+        edges = [self.size * np.arange(low, high + 2) for low, high in zip(first, last, strict=True)]
+        table = np.full(last - first + 1, np.nan)
+        table[tuple((self._corners - first).T)] = values
+        axes.plot(0.0, 0.0, "+", color=ISO_RED, markersize=10.0)
+        x, y = (f"{AXES[axis]} [m]" for axis in self.axes)
+        axes.set(xlabel=x, ylabel=y, aspect="equal")
+        return axes.pcolormesh(*edges, table.T, rasterized=True, **style)
+
+    def _draw_contacts(self, axes: Axes, deciding: Sequence[str]) -> None:
+        """Draw which contact decides in each cell (c,); a contact has the same colour in every map of a robot."""
+        points = self.sample.assessed.points
+        colors = {
+            name: color for name, color in zip(points, distinct_colors(len(points)), strict=True) if name in deciding
+        }
+        names = [*colors]
+        codes, cmap = [names.index(name) for name in deciding], ListedColormap([*colors.values()])
+        mesh = self._draw_cells(axes, codes, cmap=cmap, vmin=-0.5, vmax=len(names) - 0.5)
+        bar = axes.figure.colorbar(mesh, ax=axes, label="deciding contact", ticks=range(len(names)))
+        bar.ax.set_yticklabels(names)
 
 
 def map_table(cells: Cells, joints: Sequence[str]) -> pa.Table:
-    """Return a row for each cell: centre, worst values, and the configuration with the smallest allowable speed."""
+    """Return a row for each cell: centre, worst values, and the configuration with the smallest allowable speed.
+
+    The contact that decides is that of the configuration with the smallest `speed_of_all`.
+    """
     sample, contacts = cells.sample, cells.sample.contacts
-    speed = np.ascontiguousarray(contacts["allowable_speed"])
-    order = np.lexsort((speed, cells.of))
-    slowest = order[np.unique(cells.of[order], return_index=True)[1]]
+    speed, speed_of_all = np.ascontiguousarray(contacts["allowable_speed"]), sample.speed_of_all
+    slowest, slowest_of_all = cells.smallest(speed), cells.smallest(speed_of_all)
+    deciding = np.array(sample.assessed.points)[sample.assessed.deciding()[slowest_of_all]]
     labels = {name: np.array(sample.assessed.labels[name]) for name in ("body_region", "mass_model")}
     return pa.table(
         {
@@ -240,28 +284,36 @@ def map_table(cells: Cells, joints: Sequence[str]) -> pa.Table:
             **{f"{name}_kg": cells.largest(sample.masses(name)) for name in MASSES},
             "allowable_speed_m_s": speed[slowest],
             **{name: texts[contacts[name][slowest].astype(int)] for name, texts in labels.items()},
+            "allowable_speed_all_contacts_m_s": speed_of_all[slowest_of_all],
+            "deciding_contact": deciding,
             **{f"{joint}_position": sample.q[slowest, i] for i, joint in enumerate(joints)},
         }
     )
 
 
 def draw_map(cells: Cells, table: pa.Table, title: str, iso_mass: float) -> Figure:
-    """Return the maps of mass, reduced masses and allowable speed in `table`."""
+    """Return the maps of mass, reduced masses and allowable speed in `table`; of several contacts, which decides."""
     panels = {label: table[f"{name}_kg"].to_numpy() for name, label in MASSES.items()}
-    return cells.draw(
-        title, panels | {"allowable speed along n [m/s]": table["allowable_speed_m_s"].to_numpy()}, iso_mass
-    )
+    speed = "allowable speed along n{} [m/s]"
+    panels[speed.format("")] = table["allowable_speed_m_s"].to_numpy()
+    if len(cells.sample.assessed.points) == 1:
+        return cells.draw(title, panels, iso_mass)
+    panels[speed.format(", all contacts")] = table["allowable_speed_all_contacts_m_s"].to_numpy()
+    return cells.draw(title, panels, iso_mass, table["deciding_contact"].to_pylist())
 
 
 def summarize(cells: Cells, table: pa.Table, iso_mass: float) -> dict[str, Any]:
     """Return the summary for JSON, units in the names: percentiles over the cells, and the slowest cell.
 
-    `rise_by_second_half` tells by how much the second half of the sample raised the bound, as a share, of cells that
-    the first half had reached: it shows how complete the sample is.
+    `deciding_contacts` counts the cells in which each contact decides. `rise_by_second_half` tells by how much the
+    second half of the sample raised the bound, as a share, of cells that the first half had reached: it shows how
+    complete the sample is.
     """
     sample, bound = cells.sample, cells.sample.masses("worst_normal_reduced_mass")
     early = cells.largest(np.where(np.arange(len(bound)) < len(bound) // 2, bound, np.nan))
-    columns = [f"{name}_kg" for name in MASSES] + ["allowable_speed_m_s"]
+    columns = [f"{name}_kg" for name in MASSES] + ["allowable_speed_m_s", "allowable_speed_all_contacts_m_s"]
+    deciding = Counter(dict.fromkeys(sample.assessed.points, 0))
+    deciding.update(table["deciding_contact"].to_pylist())
     return {
         "direction": list(sample.direction),
         "plane": str(sample.plane),
@@ -272,10 +324,11 @@ def summarize(cells: Cells, table: pa.Table, iso_mass: float) -> dict[str, Any]:
         "cells": table.num_rows,
         "cell_m": cells.size,
         **{name: _percentiles(table[name].to_numpy()) for name in columns},
+        "deciding_contacts": dict(deciding.most_common()),
         "iso_mass_kg": iso_mass,
         "share_above_iso_mass": float(np.mean(table[columns[0]].to_numpy() > iso_mass)),
         "rise_by_second_half": _percentiles(cells.largest(bound) / early - 1.0),
-        "slowest": table.take([int(np.argmin(table[columns[-1]].to_numpy()))]).to_pylist()[0],
+        "slowest": table.take([int(np.argmin(table["allowable_speed_m_s"].to_numpy()))]).to_pylist()[0],
     }
 
 

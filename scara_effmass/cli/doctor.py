@@ -20,6 +20,8 @@ import numpy as np
 
 from scara_effmass import __version__
 from scara_effmass.analysis.lumped_model import compare_models
+from scara_effmass.analysis.output import atomic_file, check_output_path
+from scara_effmass.analysis.summary import shares
 from scara_effmass.cli.console import LEVEL_STYLES, print_findings, print_json, print_table, printer
 from scara_effmass.cli.options import load_dynamics, monitor_settings
 from scara_effmass.codes import ModelCode
@@ -37,6 +39,9 @@ COMPARED_POSES = 300
 """Number of random poses and directions at which the lumped is compared with the full mass."""
 
 
+PICTURES = (".png", ".svg")
+
+
 class CheckResult(NamedTuple):
     """One line of the report: `level` is "ok", "note" or "wrong" (the monitor cannot run)."""
 
@@ -50,7 +55,11 @@ def run(args: argparse.Namespace) -> int:
     settings = monitor_settings(args, others=("daq",))
     if not settings.robot_path.is_file():
         raise RobotError(f"{settings.robot_path}: no such file; must be a URDF or DH YAML file")
+    if args.hulls:
+        _check_picture(args.hulls, overwrite=args.force)
     cell, dynamics = cell_results(settings)
+    if args.hulls and dynamics:
+        cell.append(_draw_hulls(dynamics, args.hulls, overwrite=args.force))
     results = [*_installation(), *_environment(), *_daq(args.params), *cell]
     joints = _joints(dynamics) if dynamics else []
     healthy = all(result.level != "wrong" for result in results)
@@ -69,6 +78,26 @@ def run(args: argparse.Namespace) -> int:
     return 0 if healthy else 1
 
 
+def _check_picture(path: Path, *, overwrite: bool) -> None:
+    """Raise SettingsError or OutputError if no picture can be written to `path`."""
+    if path.suffix not in PICTURES:
+        raise SettingsError(f"--hulls = {path}: must end with {' or '.join(PICTURES)}")
+    check_output_path(path, overwrite=overwrite)
+
+
+def _draw_hulls(dynamics: RobotDynamics, path: Path, *, overwrite: bool) -> CheckResult:
+    """Draw the links that are watched as a whole. Raises SettingsError without any, and OutputError."""
+    from scara_effmass.analysis.hull_figure import draw_hulls  # noqa: PLC0415 - matplotlib, an extra
+    from scara_effmass.analysis.report import report_figure  # noqa: PLC0415 - as above
+
+    if not dynamics.robot.hulls:
+        raise SettingsError("--hulls: no link is watched as a whole; use --contact-point whole_arm")
+    picture = report_figure("hulls", "", "", draw_hulls(dynamics.robot))
+    with atomic_file(path, overwrite=overwrite) as file:
+        file.write_bytes(picture.png if path.suffix == ".png" else picture.svg)
+    return CheckResult("ok", "hulls", f"{path}: {', '.join(dynamics.robot.hulls)}")
+
+
 def cell_results(settings: MonitorSettings) -> tuple[list[CheckResult], RobotDynamics | None]:
     """Return the results for limits and robot of `settings`, and the robot, None if it cannot be loaded."""
     results = [*_limits(settings)]
@@ -79,7 +108,7 @@ def cell_results(settings: MonitorSettings) -> tuple[list[CheckResult], RobotDyn
     if settings.payload_topic:
         text = f"by topic {settings.payload_topic}, not in the masses here; UNKNOWN until it arrives"
         results.append(CheckResult("note", "payload", text))
-    results += [*_robot(dynamics), *_tightest(dynamics, settings), *_comparison(dynamics, settings.model_margin)]
+    results += [*_robot(dynamics), *tightest(dynamics, settings), *_comparison(dynamics, settings.model_margin)]
     results.append(_mass_model(dynamics, settings.effective_mass_model))
     return [*results, *_assumptions(dynamics, settings)], dynamics
 
@@ -241,7 +270,7 @@ def _home_masses(dynamics: RobotDynamics) -> Iterator[tuple[str, str]]:
                 yield contact.name, f"{code.name.lower()} mass {axes} kg along x / y / z of {dynamics.robot.base_frame}"
 
 
-def _tightest(dynamics: RobotDynamics, settings: MonitorSettings) -> Iterator[CheckResult]:
+def tightest(dynamics: RobotDynamics, settings: MonitorSettings) -> Iterator[CheckResult]:
     """Say which contact has the largest share of its allowable speed in how many random motions."""
     from scara_effmass.safety import Monitor  # noqa: PLC0415 - loads numba
 
@@ -253,13 +282,11 @@ def _tightest(dynamics: RobotDynamics, settings: MonitorSettings) -> Iterator[Ch
         return
     q = dynamics.robot.sample_configurations(COMPARED_POSES)
     qd = np.random.default_rng(1).normal(size=q.shape)
-    contacts = monitor.assess_configurations(q, qd).contacts
-    known = contacts[(contacts["verdict"] != Verdict.UNKNOWN).all(axis=1)]
-    tightest = np.argmin(known["allowable_speed"] / np.maximum(known["speed"], math.ulp(1.0)), axis=1)
-    counts = Counter(dynamics.contact_points[index] for index in tightest.tolist())
-    if counts:
-        shares = ", ".join(f"{point} {count / len(known):.0%}" for point, count in counts.most_common())
-        yield CheckResult("ok", "tightest contact", f"{shares} of {len(known)} random motions")
+    assessed = monitor.assess_configurations(q, qd)
+    deciding = assessed.deciding()[(assessed.contacts["verdict"] != Verdict.UNKNOWN).all(axis=1)]
+    if len(deciding):
+        counts = Counter(dynamics.contact_points[index] for index in deciding.tolist())
+        yield CheckResult("ok", "tightest contact", f"{shares(counts)} of {len(deciding)} random motions")
 
 
 def _comparison(dynamics: RobotDynamics, margin: float) -> Iterator[CheckResult]:

@@ -20,7 +20,7 @@ from scara_effmass.analysis.output import atomic_file, check_output_path
 from scara_effmass.analysis.summary import Summary
 from scara_effmass.bags.files import open_bag
 from scara_effmass.cli.console import print_lines, print_table, progress_bar
-from scara_effmass.cli.doctor import cell_results
+from scara_effmass.cli.doctor import cell_results, tightest
 from scara_effmass.cli.options import Option, monitor_settings, options_of, robot_line
 from scara_effmass.codes import Assumption
 from scara_effmass.errors import EffmassError, SettingsError
@@ -53,6 +53,7 @@ def run(args: argparse.Namespace) -> int:
     settings, assumptions = _stated(settings, dynamics)
     lines = [robot_line(dynamics.robot, settings), ("contact points", ", ".join(dynamics.contact_points))]
     lines += [("", note) for note in dynamics.robot.notes if note.startswith(CHAIN_NOTES)]
+    lines += [("tightest", text) for *_, text in tightest(dynamics, settings)]
     unknown = False
     notes = [
         "Parameters of a cell, for nodes and commands: --params FILE, launch argument params_file.",
@@ -68,6 +69,8 @@ def run(args: argparse.Namespace) -> int:
         path.write_text(_cell(settings, notes), encoding="utf-8")
     lines += [("assumed", text) for _, text in assumptions.lines]
     next_step = f"scara-effmass doctor --params {quote(str(args.output))}"
+    if dynamics.robot.hulls:
+        next_step += f" --hulls {quote(str(args.output.with_name('hulls.png')))}"
     print_lines([*lines, ("written", args.output), ("next", next_step)])
     usual, worth = worth_of(settings, dynamics, assumptions)
     rows = [(*row[:3], "" if row.change is None else f"{row.change:+.3f}") for row in worth]

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 from scara_effmass.analysis.output import check_output_files
 from scara_effmass.analysis.report import ReportFigure, figure_files, report_figure, write_report_files
+from scara_effmass.analysis.summary import shares
 from scara_effmass.analysis.tables import open_table, provenance
 from scara_effmass.analysis.workspace_map import (
     AS_SAMPLED,
@@ -122,11 +123,18 @@ def _lines(task: _MapTask, made: _MapResult) -> Iterator[tuple[str, object]]:
     for model, count in summary["mass_models"]:
         yield "mass model", f"{model} ({count / summary['configurations']:.1%})"
     yield "cells", f"{summary['cells']} of {1e3 * summary['cell_m']:g} mm, each with its worst configuration"
-    for name, unit in (dict.fromkeys(MASSES, "kg") | {"allowable_speed": "m_s"}).items():
-        is_speed = unit == "m_s"
-        numbers = summary[f"{name}_{unit}"].items()
+    deciding = summary["deciding_contacts"]
+    subjects = {f"{name}_kg": name.removesuffix("_reduced_mass").replace("_", " ") for name in MASSES}
+    subjects["allowable_speed_m_s"] = "allowable speed"
+    if len(deciding) > 1:
+        subjects["allowable_speed_all_contacts_m_s"] = "of all contacts"
+    for name, subject in subjects.items():
+        is_speed = name.endswith("_m_s")
+        numbers = summary[name].items()
         values = ", ".join(f"{key} {at_most(value, 3) if is_speed else f'{value:.3g}'}" for key, value in numbers)
-        yield name.removesuffix("_reduced_mass").replace("_", " "), f"{values} {unit.replace('_', '/')}"
+        yield subject, f"{values} {'m/s' if is_speed else 'kg'}"
+    if len(deciding) > 1:
+        yield "decided by", f"{shares(deciding)} of the cells"
     rise = "{p50:.1%} (median), {p95:.1%} (P95)".format(**summary["rise_by_second_half"])
     yield "completeness", f"its second half raised the bound of a cell by {rise}"
     yield "written", task.folder / f"{NAME}.png"

@@ -76,6 +76,22 @@ class Assessments:
         firsts = np.flatnonzero(np.concatenate((np.ones(min(len(rows), 1), np.bool_), changes)))
         return indices, [self.texts.text(rows[first], self.details) for first in firsts.tolist()]
 
+    @property
+    def limit_shares(self) -> FloatArray:
+        """Speed over allowable speed (N, P); infinite where nothing is allowed."""
+        speed, allowed = self.contacts["speed"], self.contacts["allowable_speed"]
+        return np.asarray(np.divide(speed, allowed, out=np.full(speed.shape, np.inf), where=allowed > 0.0))
+
+    def deciding(self) -> NDArray[np.int64]:
+        """Return the contact (N,) that decides: one without a verdict, else that with the largest share of its limit.
+
+        Among several, the first with the smallest margin decides, as in `kernel.settle`.
+        """
+        contacts = self.contacts
+        keys = contacts["margin"], -self.limit_shares, contacts["verdict"] != Verdict.UNKNOWN
+        order: NDArray[np.int64] = np.lexsort(keys, axis=1)
+        return order[:, 0]
+
     def columns(self) -> Mapping[str, FloatArray]:
         """Return the fields of the contacts by name, each (N * P,) or (k, N * P) and contiguous."""
         rows = self.numbers.reshape(-1, self.numbers.shape[-1])

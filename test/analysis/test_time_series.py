@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Time series, decimation and episodes keep every peak, gap and verdict."""
 
+import math
 from itertools import pairwise
 
 import numpy as np
@@ -114,19 +115,34 @@ def test_intervals_have_verdict_margin_and_reason_and_silence_is_unknown() -> No
     assert [row.min_margin for row in rows[1:3]] == pytest.approx([0.0, -0.2])
 
 
-def test_an_interval_has_the_region_and_the_pose_of_its_start() -> None:
+def test_an_interval_has_the_region_of_its_smallest_margin_and_the_pose_of_its_start() -> None:
     builder = TimeSeriesBuilder()
-    for number, verdict in enumerate((OK, WARN, WARN, VIOLATION)):
+    for number, (verdict, margin) in enumerate(
+        [(OK, 0.8), (WARN, 0.1), (WARN, 0.05), (WARN, 0.2), (UNKNOWN, 0.0), (UNKNOWN, -9.0), (VIOLATION, -0.1)]
+    ):
         positions, stamp_ns = {"joint1": 0.1 * number, "joint2": 0.2 * number}, 10**9 + 10**8 * number
-        decision = decision_on(assessed._replace(verdict=verdict, body_region=f"region {number}"), stamp_ns=stamp_ns)
+        contact = assessed._replace(verdict=verdict, margin=margin, body_region=f"region {number}")
+        decision = decision_on(contact, stamp_ns=stamp_ns)
         builder.add(states_of(decision, log_time_ns=stamp_ns, positions=positions), 0)
     rows = list(intervals(builder.build(), TIMEOUT))
-    assert [(row.verdict, row.body_region) for row in rows] == [
-        (OK, "region 0"),
-        (WARN, "region 1"),
-        (VIOLATION, "region 3"),
+    assert [(row.verdict, row.min_margin, row.body_region) for row in rows] == [
+        (OK, 0.8, "region 0"),
+        (WARN, 0.05, "region 2"),
+        (UNKNOWN, pytest.approx(math.nan, nan_ok=True), "region 4"),
+        (VIOLATION, -0.1, "region 6"),
     ]
     assert rows[1].positions == {"joint1": 0.1, "joint2": 0.2}
+
+
+def test_an_interval_after_a_silence_has_the_region_of_its_own_joint_states() -> None:
+    builder = TimeSeriesBuilder()
+    for stamp_ns, region in ((10**9, "chest"), (3 * 10**9, "abdomen")):
+        contact = assessed._replace(verdict=WARN, body_region=region)
+        builder.add(states_of(decision_on(contact, stamp_ns=stamp_ns), log_time_ns=stamp_ns), 0)
+    run = builder.build()
+    expected = [(WARN, "chest"), (UNKNOWN, ""), (WARN, "abdomen")]
+    assert [(row.verdict, row.body_region) for row in intervals(run, TIMEOUT)] == expected
+    assert [row.body_region for row in intervals(run.with_gaps(TIMEOUT), TIMEOUT)] == ["chest", "", "", "abdomen"]
 
 
 steps = st.lists(st.tuples(st.floats(0.001, 1.0), st.sampled_from(list(Verdict))), min_size=2, max_size=40)

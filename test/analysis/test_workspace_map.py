@@ -2,13 +2,23 @@
 """Maps of the workspace: every cell has the worst of the configurations in it, by the monitor and the closed forms."""
 
 import math
+from collections import Counter
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scara_effmass.analysis.workspace_map import Cells, Plane, WorkspaceSample, map_table, sample_workspace, summarize
+from scara_effmass.analysis.workspace_map import (
+    Cells,
+    Plane,
+    WorkspaceSample,
+    _motions,
+    draw_map,
+    map_table,
+    sample_workspace,
+    summarize,
+)
 from scara_effmass.errors import RobotError
 from scara_effmass.kernel.records import CONTACT
 from scara_effmass.model.load import load_robot
@@ -94,6 +104,48 @@ def test_point_that_cannot_move_along_the_direction_is_refused() -> None:
         sample(MonitorSettings(contact_points=("elbow",)), (0.0, 0.0, 1.0))
 
 
+def test_deciding_contact_is_the_one_that_reaches_its_limit_first() -> None:
+    drawn = sample(MonitorSettings(contact_points=("tool", "whole_arm")))
+    cells, names = Cells(drawn), drawn.assessed.points
+    table = map_table(cells, ("a", "b", "c", "d"))
+    worst = [max(decision.contacts, key=lambda contact: contact.limit_share) for decision in drawn.assessed.decisions()]
+    speeds = [speed / contact.limit_share for speed, contact in zip(drawn.contacts["speed"], worst, strict=True)]
+    for number, row in enumerate(table.to_pylist()):
+        slowest = min(np.flatnonzero(cells.of == number), key=lambda index: speeds[index])
+        assert row["allowable_speed_all_contacts_m_s"] == pytest.approx(speeds[slowest], rel=1e-12)
+        assert row["allowable_speed_all_contacts_m_s"] <= row["allowable_speed_m_s"] * (1.0 + 1e-12)
+        if speeds[slowest] > 0.0:
+            assert row["deciding_contact"] == worst[slowest].contact_point
+    counts = summarize(cells, table, 2.77)["deciding_contacts"]
+    assert counts.keys() == {*names}
+    assert sum(counts.values()) == table.num_rows
+    assert len(+Counter(counts)) > 2
+
+
+def test_scaled_motion_violates_the_limit_of_the_deciding_contact_alone() -> None:
+    settings = MonitorSettings(contact_points=("tool", "whole_arm"))
+    drawn = sample(settings)
+    monitor = Monitor(RobotDynamics(load_robot(settings.robot_path, settings)), settings)
+    q, _, qd, _ = _motions(monitor, drawn.q, ALONG_X, "", SEEN_FROM_ABOVE)
+    above = monitor.assess_configurations(q, 1.001 * qd * (drawn.speed_of_all / drawn.contacts["speed"])[:, None])
+    below = monitor.assess_configurations(q, 0.999 * qd * (drawn.speed_of_all / drawn.contacts["speed"])[:, None])
+    is_above, rows = above.contacts["verdict"] == Verdict.VIOLATION, np.arange(len(q))
+    clear = (drawn.speed_of_all > 0.05) & (np.sort(above.limit_shares, axis=1)[:, -2] < 0.98)
+    assert clear.sum() > 100
+    assert is_above[rows, drawn.assessed.deciding()][clear].all()
+    assert (is_above[clear].sum(axis=1) == 1).all()
+    assert not (below.contacts["verdict"] == Verdict.VIOLATION)[clear].any()
+
+
+def test_map_of_one_contact_point_has_no_panel_of_contacts() -> None:
+    panels = []
+    for points in (("tool",), ("tool", "elbow")):
+        cells = Cells(sample(MonitorSettings(contact_points=points)))
+        axes = draw_map(cells, map_table(cells, ("a", "b", "c", "d")), "", 2.77).axes
+        panels.append([ax.get_ylabel() for ax in axes if "[m]" not in ax.get_ylabel()])
+    assert panels[1] == [*panels[0], "allowable speed along n, all contacts [m/s]", "deciding contact"]
+
+
 @given(st.lists(st.tuples(st.integers(0, 3), st.none() | st.floats(0.1, 9.0)), min_size=2, max_size=30))
 def test_unknown_configuration_allows_no_speed_and_has_no_mass(rows: list[tuple[int, float | None]]) -> None:
     blank = unknown_contact("tool", "no mass")
@@ -102,6 +154,7 @@ def test_unknown_configuration_allows_no_speed_and_has_no_mass(rows: list[tuple[
         if mass is None
         else blank._replace(
             verdict=Verdict.OK,
+            speed=0.01,
             allowable_speed=1.0 / mass,
             effective_mass=mass,
             reduced_mass=mass,
@@ -120,6 +173,7 @@ def test_unknown_configuration_allows_no_speed_and_has_no_mass(rows: list[tuple[
         known = [mass for mass in own if mass is not None]
         assert row["unknown"] == own.count(None)
         assert row["allowable_speed_m_s"] == (0.0 if None in own else 1.0 / max(known))
+        assert row["allowable_speed_all_contacts_m_s"] == pytest.approx(row["allowable_speed_m_s"], rel=1e-12)
         for name in MASSES:
             assert row[f"{name}_kg"] == max(known) if known else math.isnan(row[f"{name}_kg"])
     assert summarize(cells, table, 2.77)["unknown"] == [mass for _, mass in rows].count(None)

@@ -122,12 +122,47 @@ def _in_grams(row: re.Match[str]) -> str:
 
 def test_contact_that_decides_most_random_motions_comes_first(capsys: pytest.CaptureFixture[str]) -> None:
     rows = texts(run_doctor(capsys, "--contact-point", "near=link1: -0.1 0 0", "--contact-point", "tool")[1], "ok")
-    assert rows["tightest contact"] == "tool 100%, near 0% of 300 random motions"
+    assert rows["tightest contact"] == "tool 99.7%, near 0.3% of 300 random motions"
     whole = texts(run_doctor(capsys, "--contact-point", "whole_arm")[1], "ok")["tightest contact"]
-    shares = [int(share) for share in re.findall(r"(\d+)%", whole)]
+    shares = [float(share) for share in re.findall(r"([\d.]+)%", whole)]
     assert shares == sorted(shares, reverse=True)
-    assert 98 <= sum(shares) <= 102
+    assert sum(shares) == pytest.approx(100.0, abs=0.3)
     assert "tightest contact" not in texts(run_doctor(capsys, "--contact-point", "tool")[1], "ok")
+
+
+@pytest.mark.parametrize("suffix", [".png", ".svg"])
+def test_picture_of_the_hulls(suffix: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / f"hulls{suffix}"
+    words = ("--contact-point", "whole_arm", "--hulls", str(path))
+    code, result = run_doctor(capsys, *words)
+    assert (code, texts(result, "ok")["hulls"]) == (0, f"{path}: link1, link2, link3, link4")
+    start = path.read_bytes()[:5]
+    assert start == (b"\x89PNG\r" if suffix == ".png" else b"<?xml")
+    assert main(["doctor", *words]) == 2
+    assert "already exists; use --force" in capsys.readouterr().err
+    path.write_bytes(b"")
+    assert main(["doctor", *words, "--force"]) == 0
+    assert path.stat().st_size > 1000
+
+
+@pytest.mark.parametrize(
+    ("words", "rule"),
+    [
+        (("--hulls", "hulls.jpg", "--contact-point", "whole_arm"), "--hulls = hulls.jpg: must end with .png or .svg"),
+        (("--hulls", "hulls.png"), "--hulls: no link is watched as a whole; use --contact-point whole_arm"),
+    ],
+)
+def test_picture_without_hulls_is_refused(
+    words: tuple[str, ...],
+    rule: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["doctor", *words]) == 2
+    assert capsys.readouterr().err == f"{rule}\n"
+    assert not [*tmp_path.iterdir()]
 
 
 def test_large_contact_area_gives_a_note(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

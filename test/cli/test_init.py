@@ -3,6 +3,7 @@
 
 import io
 import json
+import shlex
 import sys
 from pathlib import Path
 from typing import Any
@@ -73,6 +74,17 @@ def test_written_file_passes_doctor(robot: Path, cli: Cli) -> None:
     assert (done.returncode, done.stderr) == (0, "")
     checked = cli("doctor", "--params", "cell.yaml", "--json")
     assert (checked.returncode, json.loads(checked.stdout)["healthy"]) == (0, True)
+
+
+def test_next_command_draws_the_links_that_are_watched(cli: Cli, tmp_path: Path) -> None:
+    named = cli("init", "--contact-point", "tool").stdout
+    assert "--hulls" not in named
+    assert "tightest" not in named
+    done = cli("init", "--contact-point", "tool", "--contact-point", "whole_arm", "-o", "a cell/i4.yaml")
+    assert "\ntightest        link" in done.stdout
+    command = next(line for line in done.stdout.splitlines() if line.startswith("next ")).split(None, 2)[2]
+    assert cli(*shlex.split(command)).returncode == 0
+    assert (tmp_path / "a cell" / "hulls.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_file_holds_the_options_and_the_meaning_of_each_parameter(cli: Cli, motion: Path, tmp_path: Path) -> None:

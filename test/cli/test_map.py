@@ -24,6 +24,7 @@ def test_map_of_a_plane_of_a_six_axis_arm(cli: Cli, refused: Refused, tmp_path: 
     assert (result["configurations"], result["plane"]) == (300, "plane z = 0.3 m")
     assert result["mass_models"] == [["full: effective_mass_model full", 300]]
     assert result["direction"] == [0.0, 0.0, -1.0]
+    assert result["deciding_contacts"] == {"ee_link": result["cells"]}
     framed = cli(*words, "--samples", "100", "--direction-frame", "ee_link", "--force", "--json")
     assert json.loads(framed.stdout)["frame"] == "ee_link"  # a link and a contact point
     done = cli(*words, "--samples", "300", "--force", "--json")
@@ -51,6 +52,18 @@ def test_parquet_carries_the_provenance(cli: Cli, tmp_path: Path) -> None:
     assert "every z, seen along z" in done.stdout
     metadata = parquet.read_schema(tmp_path / "map" / "map.parquet").metadata
     assert metadata[b"scara_effmass_version"].decode() == __version__
+
+
+@pytest.mark.usefixtures("unrendered")
+def test_map_of_several_contacts_says_which_decides(cli: Cli, tmp_path: Path) -> None:
+    words = ("map", "-o", tmp_path / "map", "--samples", "200", "--contact-point", "tool")
+    assert "decided by" not in cli(*words).stdout
+    done = cli(*words, "--contact-point", "whole_arm", "--force")
+    assert (done.returncode, done.stderr) == (0, "")
+    counts = json.loads((tmp_path / "map" / "map.json").read_text(encoding="utf-8"))["deciding_contacts"]
+    shares = ", ".join(f"{name} {count / sum(counts.values()):.1%}" for name, count in counts.items() if count)
+    assert f"decided by      {shares} of the cells" in done.stdout
+    assert "of all contacts min" in done.stdout
 
 
 @pytest.mark.parametrize(

@@ -51,6 +51,7 @@ BROUGHT = {
     *("scara_effmass", "scara_effmass_msgs", "tomli", "typing_extensions"),
     *("annotated_types", "pydantic_core"),  # pydantic
     "markupsafe",  # jinja2
+    "mpl_toolkits",  # matplotlib
     *("fastapi", "starlette", "uvicorn"),  # nicegui
 }
 """Imported names that others bring, or that no installation of ROS needs."""
