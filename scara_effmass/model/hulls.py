@@ -120,6 +120,16 @@ def outer_vertices(points: FloatArray) -> FloatArray:
     return _outer_vertices(_convex_hull(points))
 
 
+def triangles(vertices: FloatArray) -> NDArray[np.int64]:
+    """Return the surface of the polytope around `vertices` (V, 3) as triangles (T, 3) of them, counterclockwise."""
+    hull = ConvexHull(vertices)
+    corners: NDArray[np.int64] = hull.simplices.astype(np.int64)
+    a, b, c = np.moveaxis(vertices[corners], 1, 0)
+    is_inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0.0
+    corners[is_inward] = corners[is_inward, ::-1]
+    return corners
+
+
 def _points(element: ET.Element, where: str, package_dirs: Sequence[Path]) -> FloatArray:
     """Return points (N, 3) [m] in the frame of the link; the geometry of `element` is inside of their convex hull."""
     shape, origin = element.find("geometry/*"), element.find("origin")

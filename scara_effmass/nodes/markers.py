@@ -34,6 +34,7 @@ MASS_DENSITY = 7850.0
 """Density [kg/m3] of the spheres of the lumped masses: that of steel."""
 MAX_MASS = 10.0
 """Largest mass [kg] of an axis of the ellipsoid: where no joint moves the contact point, the mass is infinite."""
+HULL_ALPHA = 0.35
 NORMAL_LENGTH_M = 0.15
 TEXT_HEIGHT_M = 0.04
 TEXT_LIFT_M = 0.2
@@ -53,17 +54,18 @@ def contact_markers(
     contacts: Iterable[ContactAssessment],
     places: Mapping[str, tuple[float, float, float]],
     contact_normal: str,
+    surfaces: Mapping[str, FloatArray],
     *,
     ellipsoid_scale: float,
     arrow_scale: float,
     simulated: bool,
 ) -> Iterator[Marker]:
-    """Yield what is known of each contact point: verdict, mass ellipsoid, velocity, allowable speed, worst normal.
+    """Yield what is known of each contact: verdict, hull, mass ellipsoid, velocity, allowable speed, worst normal.
 
     `contact_normal` is that of the decision. `places` are the positions [m] of the contact points; others only have
-    a text above the base, and UNKNOWN only its text. The ellipsoid has a semi-axis of `ellipsoid_scale` [m] at 1
-    kg, an arrow `arrow_scale` [m] at 1 m/s. Texts of contact points at the same place are stacked, so that none
-    covers another.
+    a text above the base, and UNKNOWN only its text and hull. `surfaces` are the triangles (T, 3, 3) [m] of hulls. The
+    ellipsoid has a semi-axis of `ellipsoid_scale` [m] at 1 kg, an arrow `arrow_scale` [m] at 1 m/s. Texts of contact
+    points at the same place are stacked, so that none covers another.
     """
     drawn: list[FloatArray] = []
     for index, contact in enumerate(contacts):
@@ -75,6 +77,9 @@ def contact_markers(
         text = (x, y, z + (lift if z > -TEXT_LIFT_M else -lift))  # away from the base
         label = _label(contact, simulated=simulated)
         yield _marker(Marker.TEXT_VIEW_FACING, "verdict", index, color, (0.0, 0.0, TEXT_HEIGHT_M), text, text=label)
+        if contact.contact_point in surfaces:
+            corners = surfaces[contact.contact_point].reshape(-1, 3)
+            yield _marker(Marker.TRIANGLE_LIST, "hulls", index, color, (1.0,) * 3, alpha=HULL_ALPHA, points=corners)
         is_finite = np.isfinite([*contact.direction, *contact.mobility]).all()
         if contact.verdict is Verdict.UNKNOWN or contact.contact_point not in places or not is_finite:
             continue

@@ -8,6 +8,8 @@ from collections.abc import Set as AbstractSet
 from contextlib import suppress
 from functools import partial
 
+import numpy as np
+from numpy.typing import NDArray
 from scara_effmass_msgs.msg import ContactStates, RunInfo
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import Marker, MarkerArray
@@ -27,7 +29,7 @@ from scara_effmass.safety import unknown_assessments, unknown_contact
 from scara_effmass.safety.joint_state_adapter import JointStateAdapter
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.settings.loading import fixed, tunable
-from scara_effmass.values import Decision, Vector3
+from scara_effmass.values import Decision, FloatArray, Vector3
 from scara_effmass.wire import topics
 from scara_effmass.wire.cdr import NS
 from scara_effmass.wire.contact_states import decode_contact_states
@@ -65,6 +67,8 @@ class VisualizationNode(LifecycleBase):
         self._settings = parameters.declare(self, NodeSettings)
         self.autostart = self._settings.autostart
         self._dynamics: RobotDynamics | None = None
+        self._triangles: dict[str, NDArray[np.int64]] = {}
+        """Those of each hull, as indices of its vertices."""
         self.on_parameters_changed(lambda: self._settings, self._apply, self._loaded)
 
     def configure(self) -> None:
@@ -91,7 +95,11 @@ class VisualizationNode(LifecycleBase):
 
     def _use_robot(self, robot: Robot) -> None:
         self._adapter = JointStateAdapter(robot.joint_names, self._settings)
-        self._dynamics = RobotDynamics(robot)
+        self._dynamics, self._triangles = RobotDynamics(robot), {}
+        if robot.hulls:
+            from scara_effmass.model.hulls import triangles  # noqa: PLC0415 - scipy.spatial takes long to import
+
+            self._triangles = {name: triangles(vertices) for name, vertices in robot.hulls.items()}
 
     def _refuse_robot(self, reason: str) -> None:
         self._dynamics, self._no_robot_reason = None, reason
@@ -135,6 +143,7 @@ class VisualizationNode(LifecycleBase):
         contacts = list(decision.contacts)
         pose = self._distrusted or (self._pose() if dynamics is not None else self._no_robot_reason)
         places: dict[str, Vector3] = {}
+        surfaces: dict[str, FloatArray] = {}
         if dynamics is None or isinstance(pose, str):
             contacts.append(unknown_contact("", str(pose)))
         else:
@@ -142,11 +151,12 @@ class VisualizationNode(LifecycleBase):
             # A link as a whole is marked at its worst place.
             worst = {contact.contact_point: contact.position for contact in contacts if any(contact.position_in_link)}
             places = dict(geometry.contact_points) | worst
+            surfaces = {name: geometry.hulls[name][corners] for name, corners in self._triangles.items()}
             for marker in robot_markers(geometry):
                 yield stamp(marker, stamp_ns=pose.stamp_ns)
         scales = {"ellipsoid_scale": settings.ellipsoid_scale, "arrow_scale": settings.arrow_scale}
         normal, simulated = decision.contact_normal, self._simulated
-        for marker in contact_markers(contacts, places, normal, simulated=simulated, **scales):
+        for marker in contact_markers(contacts, places, normal, surfaces, simulated=simulated, **scales):
             yield stamp(marker, stamp_ns=decision.stamp_ns)
 
     def _pose(self) -> values.JointState | str:

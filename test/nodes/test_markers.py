@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from visualization_msgs.msg import Marker
 
+from scara_effmass.model.hulls import triangles
 from scara_effmass.model.load import load_robot
 from scara_effmass.model.poses import pose_geometry
 from scara_effmass.nodes.markers import contact_markers, robot_markers
@@ -18,7 +19,8 @@ from scara_effmass.safety import Monitor, unknown_contact
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import VERDICT_COLORS, ContactAssessment, JointState, Vector3, Verdict, mobility_matrix
 
-DYNAMICS = RobotDynamics(load_robot())
+DYNAMICS = RobotDynamics(load_robot(settings=MonitorSettings(contact_points=("tool",))))
+WHOLE = RobotDynamics(load_robot())
 Q = np.array([0.3, 1.2, 0.1, -0.4])
 PLACE: Vector3 = (0.1, -0.2, 0.3)
 STEEL = 7850.0
@@ -37,7 +39,7 @@ def drawn(contact: ContactAssessment, contact_normal: str = "worst", *, simulate
     places = {contact.contact_point: PLACE}
     return {
         marker.ns: marker
-        for marker in contact_markers([contact], places, contact_normal, simulated=simulated, **SCALES)
+        for marker in contact_markers([contact], places, contact_normal, {}, simulated=simulated, **SCALES)
     }
 
 
@@ -64,6 +66,30 @@ def test_spheres_have_the_volume_of_their_mass_in_steel_and_the_places_of_the_fo
     at = spheres[1].pose.position
     assert (at.x, at.y) == pytest.approx(elbow)
     assert (links.type, len(links.points)) == (Marker.LINE_LIST, 2 * len(geometry.segments))
+
+
+def test_each_link_has_its_hull_in_the_colour_of_its_verdict() -> None:
+    geometry = pose_geometry(WHOLE.robot, WHOLE.lumped, Q)
+    contacts = [assessed()._replace(contact_point=name) for name in WHOLE.contact_points]
+    surfaces = {name: vertices[triangles(vertices)] for name, vertices in geometry.hulls.items()}
+    markers = contact_markers(contacts, geometry.contact_points, "worst", surfaces, simulated=False, **SCALES)
+    hulls = [marker for marker in markers if marker.ns == "hulls"]
+    assert [WHOLE.contact_points[marker.id] for marker in hulls] == ["link1", "link2", "link3", "link4"]
+    for marker, volume in zip(
+        hulls, (0.425 * 0.15 * 0.12, 0.425 * 0.15 * 0.2, 0.04 * 0.04 * 0.5, 0.06**3), strict=True
+    ):
+        corners = np.array([(point.x, point.y, point.z) for point in marker.points]).reshape(-1, 3, 3)
+        # Divergence theorem: positive, because every triangle is counterclockwise from outside.
+        assert np.linalg.det(corners).sum() / 6.0 == pytest.approx(volume, rel=1e-2)
+        assert marker.type == Marker.TRIANGLE_LIST
+        color = VERDICT_COLORS[contacts[0].verdict]
+        assert marker.color.r == pytest.approx(int(color[1:3], 16) / 255.0)
+    link2 = np.array([(point.x, point.y, point.z) for point in hulls[1].points])
+    along = np.array([math.cos(Q[0] + Q[1]), math.sin(Q[0] + Q[1])])
+    elbow = 0.275 * np.array([math.cos(Q[0]), math.sin(Q[0])])
+    assert (link2[:, :2] - elbow) @ along == pytest.approx(
+        np.where((link2[:, :2] - elbow) @ along > 0, 0.35, -0.075), abs=1e-3
+    )
 
 
 @given(q1=ANGLE, q2=st.floats(0.2, 2.3), v1=st.floats(0.1, 1.0), v2=st.floats(0.1, 1.0))
@@ -133,7 +159,8 @@ def test_verdict_is_a_word_and_a_colour_of_its_own(verdict: Verdict) -> None:
 
 
 def test_contact_point_without_a_place_has_its_word_above_the_base() -> None:
-    markers = list(contact_markers([assessed(), unknown_contact("", "why")], {}, "worst", simulated=False, **SCALES))
+    contacts = [assessed(), unknown_contact("", "why")]
+    markers = list(contact_markers(contacts, {}, "worst", {}, simulated=False, **SCALES))
     assert [marker.ns for marker in markers] == ["verdict", "verdict"]
     assert markers[0].pose.position.z < markers[1].pose.position.z
     assert markers[1].text == "robot: UNKNOWN\nwhy"
@@ -145,7 +172,7 @@ def test_words_of_contact_points_at_one_place_do_not_cover_each_other(z: float) 
     names = ("elbow", "tool", "flange", "rim")
     places = dict.fromkeys(names, (0.4, 0.0, z)) | {"elbow": (0.2, 0.0, z)}
     contacts = [assessed()._replace(contact_point=name) for name in names]
-    markers = contact_markers(contacts, places, "worst", simulated=False, **SCALES)
+    markers = contact_markers(contacts, places, "worst", {}, simulated=False, **SCALES)
     at = {marker.text.partition(":")[0]: marker.pose.position.z for marker in markers if marker.ns == "verdict"}
     away = math.copysign(0.2, z)
     assert [at[name] - z for name in names] == pytest.approx([away, away, 2.0 * away, 3.0 * away])
