@@ -60,7 +60,7 @@ class Worth(NamedTuple):
 
 
 def worth_of(settings: MonitorSettings, dynamics: RobotDynamics, assumptions: Assumptions) -> tuple[float, list[Worth]]:
-    """Return the mean allowable speed [m/s] of POSES configurations with TYPICAL_SPEED, and a row per assumption."""
+    """Return the mean allowable speed [m/s] of the fastest contact in POSES configurations, and a row per rule."""
     usual, rows = _mean_speed(settings, dynamics), []
     for code in RULES:
         status = "assumed" if code in assumptions.assumed else "accepted" if code in assumptions.accepted else "stated"
@@ -79,7 +79,10 @@ def worth_of(settings: MonitorSettings, dynamics: RobotDynamics, assumptions: As
 
 
 def _mean_speed(settings: MonitorSettings, dynamics: RobotDynamics) -> float:
-    """Return the mean of the least allowable speed [m/s]; 0 where the verdict is UNKNOWN."""
+    """Return the mean of the speed [m/s] of the fastest contact at which the first one reaches its limit.
+
+    It is 0 where a verdict is UNKNOWN.
+    """
     robot, monitor = dynamics.robot, Monitor(dynamics, settings)
     q = robot.sample_configurations(POSES)
     qd = np.cos(np.outer(np.arange(POSES), np.arange(1.0, q.shape[1] + 1.0)))
@@ -87,4 +90,5 @@ def _mean_speed(settings: MonitorSettings, dynamics: RobotDynamics) -> float:
     qd *= (TYPICAL_SPEED / np.maximum(speeds, math.ulp(1.0)))[:, None]
     contacts = monitor.assess_configurations(q, qd).contacts
     allowed = np.where(contacts["verdict"] == Verdict.UNKNOWN, 0.0, contacts["allowable_speed"])
-    return float(allowed.min(axis=1).mean())
+    factors = allowed / np.maximum(contacts["speed"], math.ulp(1.0))
+    return TYPICAL_SPEED * float(factors.min(axis=1).mean())

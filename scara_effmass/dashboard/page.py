@@ -55,7 +55,8 @@ class Page:
             with _card("Robot"):
                 self._scene = RobotScene(dynamics, settings)
                 _html(
-                    "Arrows: velocity (black), worst contact normal (magenta). Ellipsoid: root of the effective mass.",
+                    "Links: in the colour of their verdict. At the worst place of each: velocity (black), worst normal "
+                    "(magenta), root of the effective mass (ellipsoid).",
                     "note",
                 )
                 self._scene_note = ui.label().classes("note")

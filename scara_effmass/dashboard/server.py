@@ -20,6 +20,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from scara_effmass.dashboard.page import Page, csv_of
+from scara_effmass.dashboard.scene import stl_of
 from scara_effmass.errors import SettingsError
 from scara_effmass.nodes.cell_client import CellClient
 from scara_effmass.reference import RobotDynamics
@@ -180,6 +181,13 @@ def serve(
     def episodes() -> Response:
         name = {"Content-Disposition": 'attachment; filename="episodes.csv"'}
         return Response(csv_of(client), media_type="text/csv", headers=name)
+
+    hulls = [stl_of(dynamics.robot, number) for number in range(len(dynamics.robot.hulls))]
+
+    @page_app.get("/hulls/{number}.stl")
+    def hull(number: int) -> Response:
+        found = hulls[number : number + 1] if number >= 0 else []
+        return Response(found[0], media_type="model/stl") if found else Response(status_code=404)
 
     app = FastAPI(openapi_url=None)
     ui.run_with(app, show_welcome_message=False, tailwind=False, binding_refresh_interval=None)

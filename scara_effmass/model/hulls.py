@@ -120,11 +120,11 @@ def outer_vertices(points: FloatArray) -> FloatArray:
     return _outer_vertices(_convex_hull(points))
 
 
-def triangles(vertices: FloatArray) -> NDArray[np.int64]:
-    """Return the surface of the polytope around `vertices` (V, 3) as triangles (T, 3) of them, counterclockwise."""
+def triangles(vertices: FloatArray) -> FloatArray:
+    """Return the surface of the polytope around `vertices` (V, 3) as triangles (T, 3, 3), counterclockwise."""
     hull = ConvexHull(vertices)
-    corners: NDArray[np.int64] = hull.simplices.astype(np.int64)
-    a, b, c = np.moveaxis(vertices[corners], 1, 0)
+    corners: FloatArray = vertices[hull.simplices]
+    a, b, c = np.moveaxis(corners, 1, 0)
     is_inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0.0
     corners[is_inward] = corners[is_inward, ::-1]
     return corners

@@ -20,14 +20,14 @@ class PoseGeometry(NamedTuple):
     """Positions [m] in the base frame at one pose.
 
     `segments` (k, 2, 3) are the links as lines: from joint to joint, to the tip, and to the contact points beside them.
-    `lumped_masses` are masses [kg] with their positions; empty without a lumped model. `hulls` are the vertices (V, 3)
-    of the contacts that are links as a whole.
+    `lumped_masses` are masses [kg] with their positions; empty without a lumped model. `hulls` are the poses of
+    the frames in which the robot's hulls are.
     """
 
     segments: FloatArray
     lumped_masses: tuple[tuple[float, Vector3], ...]
     contact_points: dict[str, Vector3]
-    hulls: dict[str, FloatArray]
+    hulls: dict[str, pin.SE3]
 
 
 class MassEllipsoid(NamedTuple):
@@ -55,12 +55,12 @@ def pose_geometry(robot: Robot, lumped: LumpedModel | None, q: FloatArray) -> Po
     segments = np.array(lines)
     lengths = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
     masses = () if lumped is None else lumped.masses
-    joints = {name: frame.parentJoint for name, frame in zip(robot.contact_frames, contacts, strict=True)}
+    hulls = ((name, poses[frame.parentJoint]) for name, frame in zip(robot.contact_frames, contacts, strict=True))
     return PoseGeometry(
         segments[lengths > MIN_SEGMENT_M],
         tuple((mass, _vector(poses[joint].act(np.array(point)))) for mass, joint, point in masses),
         {name: _vector(point) for name, point in zip(robot.contact_frames, points, strict=True)},
-        {name: _placed(robot.hulls[name], poses[joint]) for name, joint in joints.items() if name in robot.hulls},
+        {name: pose for name, pose in hulls if name in robot.hulls},
     )
 
 
@@ -138,12 +138,6 @@ class ManyPoses:
 def _times(matrices: FloatArray, matrix: FloatArray) -> FloatArray:
     """Return `matrices` (m, 3, 3) @ `matrix` (3, 3) by one product, which is faster than m of them."""
     return (matrices.reshape(-1, 3) @ matrix).reshape(-1, 3, 3)
-
-
-def _placed(points: FloatArray, pose: pin.SE3) -> FloatArray:
-    """Return `points` (N, 3) in the frame in which `pose` is."""
-    placed: FloatArray = points @ pose.rotation.T + pose.translation
-    return placed
 
 
 def _vector(point: FloatArray) -> Vector3:

@@ -144,7 +144,7 @@ def _hulls(
     The hull of a link that is a contact point, too, holds that point. Raises RobotError for geometry that cannot be
     read, unless it is not asked for.
     """
-    if not settings.watches_links:
+    if WHOLE_ARM not in (settings.contact_points or (WHOLE_ARM,)) or settings.contact_normal != "worst":
         return {}, []
     # scipy.spatial takes long to import.
     from scara_effmass.model.hulls import outer_vertices, package_folders, urdf_hulls  # noqa: PLC0415

@@ -8,8 +8,6 @@ from collections.abc import Set as AbstractSet
 from contextlib import suppress
 from functools import partial
 
-import numpy as np
-from numpy.typing import NDArray
 from scara_effmass_msgs.msg import ContactStates, RunInfo
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import Marker, MarkerArray
@@ -67,8 +65,8 @@ class VisualizationNode(LifecycleBase):
         self._settings = parameters.declare(self, NodeSettings)
         self.autostart = self._settings.autostart
         self._dynamics: RobotDynamics | None = None
-        self._triangles: dict[str, NDArray[np.int64]] = {}
-        """Those of each hull, as indices of its vertices."""
+        self._triangles: dict[str, FloatArray] = {}
+        """Those of each hull, in the frame of its joint."""
         self.on_parameters_changed(lambda: self._settings, self._apply, self._loaded)
 
     def configure(self) -> None:
@@ -151,7 +149,8 @@ class VisualizationNode(LifecycleBase):
             # A link as a whole is marked at its worst place.
             worst = {contact.contact_point: contact.position for contact in contacts if any(contact.position_in_link)}
             places = dict(geometry.contact_points) | worst
-            surfaces = {name: geometry.hulls[name][corners] for name, corners in self._triangles.items()}
+            for name, pose_of_hull in geometry.hulls.items():
+                surfaces[name] = self._triangles[name] @ pose_of_hull.rotation.T + pose_of_hull.translation
             for marker in robot_markers(geometry):
                 yield stamp(marker, stamp_ns=pose.stamp_ns)
         scales = {"ellipsoid_scale": settings.ellipsoid_scale, "arrow_scale": settings.arrow_scale}

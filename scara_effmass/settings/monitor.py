@@ -140,8 +140,8 @@ class MonitorSettings(FrozenSettings):
     contact_points: tuple[str, ...] = fixed(
         (),
         'points to watch: a link (URDF) or point (DH YAML) by name, or "name=link: x y z", a point in the frame '
-        "of a link [m]; whole_arm: besides, every link with geometry; empty: all points of a DH file or the tip of the "
-        "longest chain of a URDF, and whole_arm where there is geometry, if contact_normal is worst",
+        "of a link [m]; whole_arm: besides, every link with geometry; empty: all points of a DH file, the tip of the "
+        "longest chain of a URDF and whole_arm, if all meshes are found and contact_normal is worst",
     )
     contact_links: tuple[str, ...] = fixed(
         ("*",), "links that whole_arm watches, by name or glob pattern; name all but those that cannot touch a person"
@@ -431,11 +431,6 @@ class MonitorSettings(FrozenSettings):
         if friction > 0.0 and info.data.get("contact_normal", "worst") != "worst":
             raise ValueError("must be 0 unless contact_normal is worst: no bound holds for a known one")
         return friction
-
-    @property
-    def watches_links(self) -> bool:
-        """Whether links with geometry are watched as a whole: if asked for, and by default."""
-        return WHOLE_ARM in (self.contact_points or (WHOLE_ARM,)) and self.contact_normal == "worst"
 
     @property
     def filters_velocity(self) -> bool:

@@ -12,6 +12,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, closing, contextmanager
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
@@ -22,7 +23,7 @@ CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", 
 WAIT_MS = 90_000.0
 TIMEOUT_S = 1.0
 """Of the monitor; its deadline is twice that."""
-MONITOR = ("--ros-args", "-p", f"timeout:={TIMEOUT_S}", "-p", "release_time:=0.0")
+MONITOR = ("--ros-args", "-p", f"timeout:={TIMEOUT_S}", "-p", "release_time:=0.0", "-p", "contact_points:=[whole_arm]")
 TOKEN = "secret"  # noqa: S105
 CARDS = (
     *("Robot", "Speed and allowable speed, last 60 s", "Contact points", "Last impacts"),
@@ -83,7 +84,18 @@ def monitor(reserve_domain: Callable[[], AbstractContextManager[int]], tmp_path:
 @contextmanager
 def dashboard(port: str = "0") -> Iterator[tuple[subprocess.Popen[str], str]]:
     """Run the dashboard; give its process and address."""
-    words = [sys.executable, "-m", "scara_effmass", "dashboard", "--port", port, "--token", TOKEN]
+    words = [
+        sys.executable,
+        "-m",
+        "scara_effmass",
+        "dashboard",
+        "--port",
+        port,
+        "--token",
+        TOKEN,
+        "--contact-point",
+        "whole_arm",
+    ]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         try:
@@ -143,6 +155,10 @@ def test_the_page_shows_what_holds_and_never_an_old_ok(monitor: NodeHarness, bro
         expect(page.get_by_role("rowheader", name="effective mass, full")).to_be_visible()
         expect(page.get_by_role("rowheader", name="monitor model")).to_be_visible(timeout=WAIT_MS)
         assert page.locator("canvas").bounding_box()
+        assert {f"/hulls/{number}.stl" for number in range(4)} <= {urlsplit(url).path for url in addresses}
+        hull, missing = (page.request.get(f"http://127.0.0.1:{port}/hulls/{number}.stl") for number in (0, 4))
+        assert (hull.status, missing.status) == (200, 404)
+        assert len(hull.body()) == 84 + 50 * 12  # a box has twelve triangles
         assert page.evaluate(LOW_CONTRAST) == []
 
         for speed, verdict in ((9.0, "VIOLATION"), (0.0, "OK")):

@@ -200,6 +200,9 @@ def test_tool_links_that_match_nothing_raise(omron_file: Path) -> None:
 
 
 class TestElbow:
+    def test_shipped_robot_watches_tool_and_elbow(self, omron_file: Path) -> None:
+        assert RobotDynamics(load_robot(omron_file)).contact_points == ("tool", "elbow")
+
     @given(q1=st.floats(-2.3, 2.3), q2=st.floats(-2.5, 2.5), rate=st.floats(0.1, 3.0))
     def test_mass_is_the_closed_form_of_the_planar_mechanism(
         self, omron_file: Path, q1: float, q2: float, rate: float

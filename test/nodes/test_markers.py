@@ -20,7 +20,7 @@ from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import VERDICT_COLORS, ContactAssessment, JointState, Vector3, Verdict, mobility_matrix
 
 DYNAMICS = RobotDynamics(load_robot(settings=MonitorSettings(contact_points=("tool",))))
-WHOLE = RobotDynamics(load_robot())
+WHOLE = RobotDynamics(load_robot(settings=MonitorSettings(contact_points=("whole_arm",))))
 Q = np.array([0.3, 1.2, 0.1, -0.4])
 PLACE: Vector3 = (0.1, -0.2, 0.3)
 STEEL = 7850.0
@@ -71,7 +71,10 @@ def test_spheres_have_the_volume_of_their_mass_in_steel_and_the_places_of_the_fo
 def test_each_link_has_its_hull_in_the_colour_of_its_verdict() -> None:
     geometry = pose_geometry(WHOLE.robot, WHOLE.lumped, Q)
     contacts = [assessed()._replace(contact_point=name) for name in WHOLE.contact_points]
-    surfaces = {name: vertices[triangles(vertices)] for name, vertices in geometry.hulls.items()}
+    surfaces = {
+        name: triangles(WHOLE.robot.hulls[name]) @ pose.rotation.T + pose.translation
+        for name, pose in geometry.hulls.items()
+    }
     markers = contact_markers(contacts, geometry.contact_points, "worst", surfaces, simulated=False, **SCALES)
     hulls = [marker for marker in markers if marker.ns == "hulls"]
     assert [WHOLE.contact_points[marker.id] for marker in hulls] == ["link1", "link2", "link3", "link4"]

@@ -96,7 +96,7 @@ def test_markers_follow_the_states_and_become_unknown_without_them(new_harness: 
     # The joint states end, then the monitor: nothing of the old pose stays.
     viewer.until(lambda shown: "links 0" in shown and shown["links 0"].action == Marker.DELETE)
     markers = viewer.until(lambda shown: "UNKNOWN" in shown["verdict 0"].text)
-    assert markers.keys() == {f"verdict {number}" for number in range(6)}
+    assert markers.keys() == {"verdict 0", "verdict 1"}
     assert "the monitor is silent" in markers["verdict 0"].text or "no joint state" in markers["verdict 0"].text
 
     # They return.
