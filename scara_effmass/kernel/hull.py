@@ -24,12 +24,15 @@ from scara_effmass.kernel.pose_change import assign_symmetric
 from scara_effmass.kernel.records import HULL_KNOWN, HULL_MASS, HULL_NONE, Mobility, Point, Setup, Work
 from scara_effmass.kernel.spatial import (
     Force,
+    Inertia,
     Motion,
     add,
+    add_inertia,
     add_symmetric,
     cross,
     dot,
     matrix_at,
+    momentum,
     motion_at,
     power,
     rotate,
@@ -38,6 +41,7 @@ from scara_effmass.kernel.spatial import (
     scale_symmetric,
     set_spatial,
     set_vector,
+    shift_inertia,
     shift_motion,
     sub,
     symmetric_at,
@@ -47,7 +51,7 @@ from scara_effmass.kernel.spatial import (
 from scara_effmass.reference import hull as reference
 from scara_effmass.reference.hull import FIRST_TRIAL, MAX_GAP, STEPS, TIE
 from scara_effmass.reference.mobility import CLAMPED_TOLERANCE
-from scara_effmass.values import ZERO_VECTOR, FloatArray, Mobility6, Vector3
+from scara_effmass.values import NO_MOBILITY, ZERO_VECTOR, FloatArray, Mobility6, Vector3
 
 scaled_energy = inlined(reference.scaled_energy)
 second_trial = inlined(reference.second_trial)
@@ -276,12 +280,18 @@ def farthest(m: Mobility, x: Motion) -> int:
 
 
 @inlined
+def unit(axis: int) -> Vector3:
+    """Return the unit vector along an axis."""
+    return (1.0 if axis == 0 else 0.0), (1.0 if axis == 1 else 0.0), (1.0 if axis == 2 else 0.0)
+
+
+@inlined
 def add_support(m: Mobility, vertex: int, count: int) -> None:
     """Make `vertex` the support `count` of the weights, with its blocks T_i B T_j^T of the other ones."""
     m.support[count] = vertex
     lever = vector_at(m.vertices, vertex)
     for axis in range(3):
-        e = (1.0 if axis == 0 else 0.0), (1.0 if axis == 1 else 0.0), (1.0 if axis == 2 else 0.0)
+        e = unit(axis)
         moved = force_on(m.twist_mobility, Force(cross(lever, e), e))
         for j in range(count + 1):
             set_vector(m.blocks[count, j], axis, shift_motion(moved, vector_at(m.vertices, m.support[j])).linear)
@@ -376,7 +386,84 @@ def certificate(m: Mobility, s: float, count: int, person_speed: float) -> Certi
     vertex = farthest(m, x)
     square = square_at(x, vector_at(m.vertices, vertex))
     speed = math.sqrt(square) + person_speed
-    return Certificate(x, vertex, square - mean_square(m, x, m.weights, count), energy + speed * speed / s)
+    bound = energy + speed * speed / s
+    if person_speed > 0.0:
+        root = 0.0
+        for i in range(m.vertex_count):
+            own = math.sqrt(energy + square_at(x, vector_at(m.vertices, i)) / s)
+            root = max(root, own + person_speed * m.met_roots[i])
+        bound = min(bound, root * root)
+    return Certificate(x, vertex, square - mean_square(m, x, m.weights, count), bound)
+
+
+@inlined
+def fill_system(m: Mobility, s: float) -> None:
+    """Write the rows of (s 1 + G B) H = G [0 1]^T, G the mean of T_i^T T_i; angular components come first.
+
+    G is the inertia of a unit mass that is spread evenly over the vertices.
+    """
+    body = Inertia(0.0, ZERO_VECTOR, NO_MOBILITY)
+    part = Inertia(1.0 / m.vertex_count, ZERO_VECTOR, NO_MOBILITY)
+    for i in range(m.vertex_count):
+        body = add_inertia(body, shift_inertia(part, vector_at(m.vertices, i)))
+    for j in range(9):
+        column = motion_at(m.twist_mobility, j) if j < 6 else Motion(ZERO_VECTOR, unit(j - 6))
+        given = momentum(body, column)
+        for i in range(3):
+            m.rows[i, j], m.rows[3 + i, j] = given.angular[i], given.linear[i]
+        if j < 6:
+            m.rows[j, j] += s
+
+
+@inlined
+def eliminate(rows: FloatArray) -> None:
+    """Solve the six equations of `rows` (6, 9) for their last three columns, in place, by Gauss and Jordan."""
+    for k in range(6):
+        pivot = k
+        for i in range(k + 1, 6):
+            if abs(rows[i, k]) > abs(rows[pivot, k]):
+                pivot = i
+        for j in range(k, 9):
+            rows[k, j], rows[pivot, j] = rows[pivot, j], rows[k, j]
+        scaling = 1.0 / rows[k, k]
+        for j in range(k, 9):
+            rows[k, j] *= scaling
+        for i in range(6):
+            if i != k:
+                factor = rows[i, k]
+                for j in range(k, 9):
+                    rows[i, j] -= factor * rows[k, j]
+
+
+@inlined
+def solution(rows: FloatArray, j: int) -> Force:
+    """Return column `j` of `rows`."""
+    return Force((rows[0, j], rows[1, j], rows[2, j]), (rows[3, j], rows[4, j], rows[5, j]))
+
+
+@inlined
+def fill_met_roots(m: Mobility, s: float) -> None:
+    """Write the root of a bound of the mass [kg] that a velocity of a person meets at each vertex, in any direction."""
+    fill_system(m, s)
+    eliminate(m.rows)
+    a, b, c = solution(m.rows, 6), solution(m.rows, 7), solution(m.rows, 8)
+    after = force_on(m.twist_mobility, a), force_on(m.twist_mobility, b), force_on(m.twist_mobility, c)
+    of_arm = (
+        power(after[0], a),
+        power(after[0], b),
+        power(after[0], c),
+        power(after[1], b),
+        power(after[1], c),
+        power(after[2], c),
+    )
+    for i in range(m.vertex_count):
+        lever = vector_at(m.vertices, i)
+        x = sub(unit(0), shift_motion(after[0], lever).linear)
+        y = sub(unit(1), shift_motion(after[1], lever).linear)
+        z = sub(unit(2), shift_motion(after[2], lever).linear)
+        squares = dot(x, x), dot(x, y), dot(x, z), dot(y, y), dot(y, z), dot(z, z)
+        mass = add_symmetric(of_arm, scale_symmetric(1.0 / s, squares))
+        m.met_roots[i] = math.sqrt(max(0.0, -smallest_eigenvalue(scale_symmetric(-1.0, mass), 3)))
 
 
 @inlined
@@ -388,6 +475,8 @@ def hull_energy(m: Mobility, s: float, person_speed: float, enough: float) -> fl
     least = scaled_energy(m.energy_of_arm, s, math.sqrt(m.square * m.speed_ratio), person_speed)
     if least <= enough:
         return least
+    if person_speed > 0.0:
+        fill_met_roots(m, s)
     add_support(m, m.vertex, 0)
     m.weights[0] = 1.0
     found = certificate(m, s, 1, person_speed)
@@ -429,11 +518,11 @@ def worst_reduced_mass(m: Mobility, alpha: float, beta: float, enough: float) ->
 
 
 @inlined
-def person_ratio(m: Mobility, alpha: float, beta: float, person_speed: float, enough: float) -> float:
+def person_ratio(m: Mobility, alpha: float, beta: float, person_speed: float, energy: float, enough: float) -> float:
     """Return a bound of the force anywhere on a link over that at its vertex, for a person in any direction.
 
-    It holds at the present speed; the force at the vertex counts as if the person came along its velocity. Against a
-    clamped body part, it is that of a person at rest. It may be larger than need be, unless it is above `enough`.
+    It holds at the present speed, at which the contact at the vertex has twice the `energy`. Against a clamped body
+    part, it is that of a person at rest. It may be larger than need be, unless it is above `enough`.
     """
     if m.hull == HULL_NONE:
         return 1.0
@@ -442,5 +531,5 @@ def person_ratio(m: Mobility, alpha: float, beta: float, person_speed: float, en
     if m.hull == HULL_MASS or beta <= 0.0:
         return (speed * math.sqrt(m.speed_ratio) + person_speed) / (speed + person_speed)
     s = max(alpha / beta, CLAMPED_TOLERANCE * m.matrix_trace)
-    at_vertex_energy = point_reduced_mass(m, s, 1.0) * (speed + person_speed) ** 2
-    return math.sqrt(max(1.0, hull_energy(m, s, person_speed, enough * enough * at_vertex_energy) / at_vertex_energy))
+    at_vertex = energy * beta if person_speed > 0.0 else point_reduced_mass(m, s, 1.0) * speed * speed
+    return math.sqrt(max(1.0, hull_energy(m, s, person_speed, enough * enough * at_vertex) / at_vertex))

@@ -310,6 +310,13 @@ def energy_at(meeting: Meeting, s: float) -> Energy:
 
 
 @inlined
+def present_energy(meeting: Meeting, s: float) -> float:
+    """Return twice the energy of the worst velocity of the person, at the speed `s` of the contact point."""
+    energy = energy_at(meeting, s)
+    return s * (s * energy.square + 2.0 * energy.mixed) + energy.constant
+
+
+@inlined
 def root_at(meeting: Meeting, energy: Energy, s: float) -> float:
     """Return the peak force over sqrt(k) at the speed `s` of the contact point."""
     root = math.sqrt(s * (s * energy.square + 2.0 * energy.mixed) + energy.constant)

@@ -187,6 +187,8 @@ class Mobility:
     system: Annotated[FloatArray, (MAX_SUPPORTS, MAX_SUPPORTS, 3, 3)]
     pivots: Annotated[FloatArray, (MAX_SUPPORTS, 6)]
     forces: Annotated[FloatArray, (MAX_SUPPORTS, 3)]
+    rows: Annotated[FloatArray, (6, 9)]
+    met_roots: Annotated[FloatArray, (MAX_VERTICES,)]
 
 
 @dataclass

@@ -11,8 +11,13 @@ a bound of every point of the hull. With weights w on the vertices, x = (M + m_H
 motion after contacts of these masses w_i m_H at all vertices at once. Only the twist d = J qd of the link and its
 mobility B = J M^-1 J^T (6, 6) enter: with the rows sqrt(w_i) [1, -skew(r_i)] in T_w, the forces on the vertices are
 u = (s 1 + T_w B T_w^T)^-1 T_w d, h = T_w^T u, the motion of the link after them is x = d - B h, and the bound is
-h^T B h + m_H max_i |v_i(x)|^2. The weights follow by Frank-Wolfe steps; it bounds the energy whatever they are. A
-person of up to v_p in any direction adds v_p to the speeds |v_i(x)|.
+h^T B h + m_H max_i |v_i(x)|^2. The weights follow by Frank-Wolfe steps; it bounds the energy whatever they are.
+
+A person of velocity u has x depend on u: x + X u for any matrix X. The root of the energy is a norm of the robot's and
+the person's motion, so it is at most the sum of two norms: at vertex i, that of x as above, plus |u| times the root of
+the largest eigenvalue of X^T M X + m_H (1 - J_i X)^T (1 - J_i X), the mass that a person meets there. X is the motion
+after a contact with a rigid body, of the person's mass spread evenly over the vertices, that has the velocity u. With
+X = 0, the person only adds |u| to the speeds |v_i(x)|; the smaller one of both bounds counts.
 """
 
 from __future__ import annotations
@@ -92,8 +97,10 @@ class Hull:
             squares = np.sum((maps @ (twist - given)) ** 2, axis=1)
             speed = math.sqrt(squares.max()) + person_speed
             excess = float(squares.max() - weights @ squares[support])
-            return squares, excess, float(h @ given) + speed * speed / s
+            roots = np.sqrt(h @ given + squares / s) + person_roots
+            return squares, excess, min(float(h @ given) + speed * speed / s, float(roots.max()) ** 2)
 
+        person_roots = person_speed * np.sqrt(self.met_masses(s)) if person_speed > 0.0 else np.zeros(len(maps))
         support, weights = [self.vertex], np.ones(1)
         squares, excess, bound = evaluate(support, weights)
         least = min(bound, scaled_energy(self.energy_of_arm, s, math.sqrt(self.squares.max()), person_speed))
@@ -110,6 +117,15 @@ class Hull:
                     break
                 t = second_trial(slope, float(squares[i] - start @ squares[support[:-1]]))
         return least
+
+    def met_masses(self, s: float) -> FloatArray:
+        """Return a bound (V,) [kg] of the mass that a velocity of a person meets at each vertex, in any direction."""
+        maps, mobility = self.maps, np.asarray(self.mobility)
+        spread = np.mean(maps.transpose(0, 2, 1) @ maps, axis=0)
+        h = np.linalg.solve(s * np.eye(6) + spread @ mobility, spread[:, :3])
+        rests = np.eye(3) - maps @ (mobility @ h)
+        masses: FloatArray = np.linalg.eigvalsh(h.T @ mobility @ h + rests.transpose(0, 2, 1) @ rests / s)[:, -1]
+        return masses
 
 
 def hull_mobility(cases: Sequence[ContactCase]) -> float:

@@ -210,11 +210,11 @@ class Mobility:
         energy = self.hull.energy(max(alpha / beta, CLAMPED_TOLERANCE * self.trace))
         return max(point, energy / (beta * self.hull.square))
 
-    def person_ratio(self, alpha: float, beta: float, person_speed: float) -> float:
+    def person_ratio(self, alpha: float, beta: float, person_speed: float, energy: float) -> float:
         """Return a bound of the force anywhere on a link over that of the point, for a person in any direction.
 
-        It holds at the present speed; at the point, the person counts as coming along its velocity. Against a clamped
-        body part, it is that of a person at rest.
+        It holds at the present speed, at which the contact at the point has twice the `energy`. Against a clamped body
+        part, it is that of a person at rest.
         """
         if self.hull is None:
             return 1.0
@@ -223,7 +223,7 @@ class Mobility:
         if self.hull.mobility is None or beta <= 0.0:
             return (speed * math.sqrt(self.hull.speed_ratio) + person_speed) / (speed + person_speed)
         s = max(alpha / beta, CLAMPED_TOLERANCE * self.trace)
-        at_point = self.point_reduced_mass(s) * (speed + person_speed) ** 2
+        at_point = energy * beta if person_speed > 0.0 else self.point_reduced_mass(s) * speed**2
         return math.sqrt(max(1.0, self.hull.energy(s, person_speed) / at_point))
 
     def point_reduced_mass(self, alpha: float, beta: float = 1.0) -> float:

@@ -251,7 +251,9 @@ def person_speed_limit(
 ) -> PersonSpeedLimit:
     """Return the speed of the contact point at which the peak reaches `force` [N], for one line of the drives."""
     contact = PersonContact.of(case, mobility, line, person)
-    ratio = mobility.person_ratio(*line, person.speed)
+    ratio, hull = 1.0, mobility.hull
+    if hull is not None and max(contact.masses) < math.inf:
+        ratio = mobility.person_ratio(*line, person.speed, contact.energy(math.sqrt(hull.square)))
     speed = contact.max_speed(force / (ratio * math.sqrt(case.stiffness)))
     return PersonSpeedLimit(
         speed,
