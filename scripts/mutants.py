@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Mutation testing: change one operator, number or statement of a room and see whether the room's tests fail.
 
-A random sample of all mutants is run, each in a copy of the tree, stopping at the first failing test. Prints the killed
-and total mutants of each room and the diff of every survivor. Usage: `make mutants ROOM=safety N=60 SEED=1`.
+A random sample of all mutants is run, each in a copy of the tree, stopping at the first failing test. Prints the diff
+of each survivor, then the killed and total mutants of the room. Usage: `make mutants ROOM=safety N=60 SEED=1`.
 """
 
 from __future__ import annotations
@@ -224,9 +224,14 @@ def test_room(room: str, number: int, seed: int, workspaces: list[Workspace]) ->
     def kills(mutant: Mutant) -> bool:
         workspace = idle.get()
         try:
-            return workspace.kills(mutant, room, limit_s)
+            is_killed = workspace.kills(mutant, room, limit_s)
         finally:
             idle.put(workspace)
+        if not is_killed:  # a run takes long, and may be interrupted
+            before = (ROOT / mutant.path).read_text(encoding="utf-8").splitlines()
+            lines = list(difflib.unified_diff(before, mutant.source.splitlines(), n=0, lineterm=""))[3:]
+            print("\n    ".join([f"  {mutant.path}:{mutant.line}", *lines]), flush=True)
+        return is_killed
 
     with ThreadPoolExecutor(len(workspaces)) as pool:
         killed = list(pool.map(kills, sample))
@@ -235,10 +240,6 @@ def test_room(room: str, number: int, seed: int, workspaces: list[Workspace]) ->
         f"sampled from {len(population)} with seed {seed}, {time.monotonic() - began:.0f} s",
         flush=True,
     )
-    for mutant in sorted(mutant for mutant, dead in zip(sample, killed, strict=True) if not dead):
-        before = (ROOT / mutant.path).read_text(encoding="utf-8").splitlines()
-        lines = list(difflib.unified_diff(before, mutant.source.splitlines(), n=0, lineterm=""))[3:]
-        print(f"  {mutant.path}:{mutant.line}", *(f"    {line}" for line in lines), sep="\n", flush=True)
     return not all(killed)
 
 

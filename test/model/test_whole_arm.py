@@ -56,6 +56,11 @@ def test_every_link_with_geometry_is_a_contact(arm: Path) -> None:
     assert "links that contact_links leaves out: camera" in left_out.notes
 
 
+def test_contact_links_choose_among_the_boxes_of_a_dh_file() -> None:
+    robot = load_robot(settings=MonitorSettings(contact_points=("whole_arm",), contact_links=("link[24]", "tool")))
+    assert {*robot.hulls} == {"link2", "link4"}
+
+
 def test_a_urdf_is_watched_as_a_whole_unless_points_or_a_normal_are_stated(arm: Path) -> None:
     settings = MonitorSettings()
     robot = load_robot(arm, settings)

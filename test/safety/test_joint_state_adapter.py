@@ -163,14 +163,15 @@ def test_missing_joint_and_silence_suggest_a_map(scara: RobotDynamics) -> None:
 
 
 def test_commands_are_named_like_joint_states(scara: RobotDynamics) -> None:
-    monitor = Monitor(scara, settings_of(joint_map=("left/*=*",)))
-    monitor.expect_commands(0.1)
     q, qd = motion(0.0)
-    names = tuple(f"left/{name}" for name in JOINTS)
-    monitor.take_command(JointState(NOW, names, q, np.empty(0)), NOW)
-    decision = monitor.assess(JointState(NOW, names, q, qd), NOW)
-    assert decision is not None
-    assert decision.contacts[0].verdict is not Verdict.UNKNOWN
+    names, others = (tuple(f"{side}/{name}" for name in JOINTS) for side in ("left", "right"))
+    for commanded in (names, others):
+        monitor = Monitor(scara, settings_of(joint_map=("left/*=*",)))
+        monitor.expect_commands(0.1)
+        monitor.take_command(JointState(NOW, commanded, q, np.empty(0)), NOW)
+        decision = monitor.assess(JointState(NOW, names, q, qd), NOW)
+        assert decision is not None
+        assert (decision.contacts[0].verdict is Verdict.UNKNOWN) == (commanded is others)
     assert Monitor(scara, settings_of()).assess(JointState(NOW, names, q, qd), NOW) is None
 
 

@@ -125,6 +125,19 @@ def test_remembered_reasons_keep_their_words_under_other_settings(scara: RobotDy
     assert "limit of neck" in reason(send(monitor, 8, FAST))
 
 
+def test_command_number_that_does_not_increase_gives_unknown_for_the_timeout(scara: RobotDynamics) -> None:
+    monitor = make_monitor(scara)
+    verdicts = []
+    for at_ms, number in ((0, 7), (1, 9), (2, 9), (3, 10), (50, 8), (51, 9), (250, 10), (251, 11)):
+        command = JointState(NOW + at_ms * MS, JOINTS, np.zeros(4), np.empty(0))
+        monitor.take_command(command, command.stamp_ns, number)
+        decision = send(monitor, at_ms)
+        verdicts.append(verdict(decision))
+        if at_ms == 50:
+            assert reason(decision).endswith("or a restarted one: command number 8 follows number 10")
+    assert verdicts == [Verdict.OK] * 2 + [Verdict.UNKNOWN] * 5 + [Verdict.OK]
+
+
 class TestFirstCause:
     def test_first_cause_stays_until_reset(self, scara: RobotDynamics) -> None:
         monitor = make_monitor(scara)
@@ -153,6 +166,15 @@ class TestFirstCause:
         send(monitor, 0, names=("joint1",) * 4)
         assert monitor.first_cause is None
         assert verdict(send(monitor, 1)) is Verdict.OK
+
+    def test_monitor_of_a_changed_robot_takes_over_the_first_cause(self, scara: RobotDynamics) -> None:
+        before, after = make_monitor(scara), make_monitor(scara, latch=True)
+        send(before, 0, FAST)
+        cause = after.first_cause = before.first_cause
+        assert cause is not None
+        assert after.first_cause == cause
+        latched = send(after, 1)
+        assert (verdict(latched), reason(latched)) == (Verdict.VIOLATION, f"latched until reset: tool: {cause.reason}")
 
 
 class TestLatch:

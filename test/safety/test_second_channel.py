@@ -164,7 +164,11 @@ def test_contacts_are_compared_by_turns(monkeypatch: pytest.MonkeyPatch, wrong: 
 
 @pytest.mark.parametrize(
     ("field", "change"),
-    [("allowable_speed", lambda value: value * 1.001), ("criterion", lambda value: 3.0 - value)],
+    [
+        ("allowable_speed", lambda value: value * 1.001),
+        ("criterion", lambda value: 3.0 - value),
+        ("speed", lambda value: value * 1.001),  # correct at rest
+    ],
 )
 def test_kernel_that_disagrees_when_compiled_is_not_used(
     monkeypatch: pytest.MonkeyPatch, field: str, change: Callable[[float], float]
