@@ -40,7 +40,7 @@ _MIN_GAIN = 5e-3
 _SIDES, _ARCS = 32, 15
 """Sides of the polygon around a circle, and of that around half a circle, odd."""
 _ROUND = {"radius": 1, "length": 1}
-_ATTRIBUTES = {"box": {"size": 3}, "sphere": {"radius": 1}, "cylinder": _ROUND, "capsule": _ROUND}
+_ATTRIBUTES = {"box": {"size": 3}, "cylinder": _ROUND, "sphere": {"radius": 1}, "capsule": _ROUND}
 """Attributes of the shapes of a URDF, each with its count of numbers, in the order of `settings.Shape.sizes`."""
 
 

@@ -276,10 +276,10 @@ def test_force_that_rounding_decides_is_no_disagreement() -> None:
     normal = {"contact_normal": "1 -2 0.5", "contact_normal_frame": "ee_link"}
     chosen = settings_of(contact="quasi_static", **normal)
     dynamics = RobotDynamics(load_robot(share("config", "robots", "ur10_robot.urdf"), chosen))
-    limits, motions = limits_for(chosen), motions_of(dynamics, 4250)[4:5]
-    contacts = computed(ContactKernel(dynamics, chosen, limits), dynamics, motions)
+    motions = motions_of(dynamics, 4250)[4:5]
+    contacts = computed(ContactKernel(dynamics, chosen), dynamics, motions)
     assert is_unbounded(contacts).all()
-    numbers, reference = contacts.view(np.float64).reshape(1, -1), ReferenceChannel(dynamics, chosen, limits)
+    numbers, reference = contacts.view(np.float64).reshape(1, -1), ReferenceChannel(dynamics, chosen)
     assert reference.difference(motions[0], numbers, 0.0) == ""
     contacts["force_bound"] = math.nan
     assert reference.difference(motions[0], numbers, 0.0) == "force_bound"
