@@ -16,6 +16,7 @@ from scara_effmass.studies.evidence import (
     PAGE,
     SUMMARY,
     TABLE,
+    WORST,
     Evidence,
     Row,
     Simulate,
@@ -55,8 +56,8 @@ def _lines(evidence: Evidence, output: Path) -> Iterator[tuple[str, str]]:
     robots = ", ".join(evidence.robots)
     yield "simulated", f"{evidence.impacts} random impacts of {robots} (MuJoCo); nothing was measured"
     yield "result", evidence.sentence
-    yield "", "at the worst plate normal:"
-    for group in evidence.groups(("worst",)):
+    yield "", "at the worst place of the link and the worst plate normal:"
+    for group in evidence.groups(place=(WORST,), plate=(WORST,)):
         text = f"{group.share:.2%} above the limit, worst {group.worst:.3f}, median {group.median:.3f}"
         yield group.setting, f"{DRIVES[group.drives]}: {text}"
     for subject, text, met in evidence.goals():

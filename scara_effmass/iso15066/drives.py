@@ -31,7 +31,7 @@ Line = tuple[float, float]
 """alpha [1/kg] and beta of the bound 1/mu(n) >= alpha + beta / m_n."""
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=1024)  # a study needs one for each servo and body region
 def contact_lines(
     drives: Drives, servo: ServoSettings, stiffness: tuple[float, ...], body_mass: tuple[float, ...]
 ) -> list[tuple[Line, ...]]:

@@ -518,18 +518,14 @@ def worst_reduced_mass(m: Mobility, alpha: float, beta: float, enough: float) ->
 
 
 @inlined
-def person_ratio(m: Mobility, alpha: float, beta: float, person_speed: float, energy: float, enough: float) -> float:
+def person_ratio(m: Mobility, alpha: float, beta: float, person_speed: float, at_vertex: float, enough: float) -> float:
     """Return a bound of the force anywhere on a link over that at its vertex, for a person in any direction.
 
-    It holds at the present speed, at which the contact at the vertex has twice the `energy`. Against a clamped body
-    part, it is that of a person at rest. It may be larger than need be, unless it is above `enough`.
+    It holds at the present speed, where w^T (alpha 1 + beta A)^-1 w of the vertex is `at_vertex`. It may be larger than
+    need be, unless it is above `enough`.
     """
-    if m.hull == HULL_NONE:
-        return 1.0
-    person_speed = person_speed if alpha > 0.0 else 0.0
     speed = math.sqrt(m.square)
     if m.hull == HULL_MASS or beta <= 0.0:
         return (speed * math.sqrt(m.speed_ratio) + person_speed) / (speed + person_speed)
-    s = max(alpha / beta, CLAMPED_TOLERANCE * m.matrix_trace)
-    at_vertex = energy * beta if person_speed > 0.0 else point_reduced_mass(m, s, 1.0) * speed * speed
+    s, at_vertex = max(alpha / beta, CLAMPED_TOLERANCE * m.matrix_trace), beta * at_vertex
     return math.sqrt(max(1.0, hull_energy(m, s, person_speed, enough * enough * at_vertex) / at_vertex))

@@ -310,16 +310,15 @@ def energy_at(meeting: Meeting, s: float) -> Energy:
 
 
 @inlined
-def present_energy(meeting: Meeting, s: float) -> float:
-    """Return twice the energy of the worst velocity of the person, at the speed `s` of the contact point."""
-    energy = energy_at(meeting, s)
+def energy_with(energy: Energy, s: float) -> float:
+    """Return the bound of w^T K w at the speed `s` of the contact point."""
     return s * (s * energy.square + 2.0 * energy.mixed) + energy.constant
 
 
 @inlined
 def root_at(meeting: Meeting, energy: Energy, s: float) -> float:
     """Return the peak force over sqrt(k) at the speed `s` of the contact point."""
-    root = math.sqrt(s * (s * energy.square + 2.0 * energy.mixed) + energy.constant)
+    root = math.sqrt(energy_with(energy, s))
     rate = s * (s * (s * meeting.cubic + meeting.square) + meeting.linear)
     return root + 0.5 * meeting.time * rate / root
 

@@ -12,7 +12,15 @@ from scara_effmass.kernel.acceleration import acceleration_time, gain, max_rate
 from scara_effmass.kernel.hull import person_ratio, worst_reduced_mass
 from scara_effmass.kernel.jit import inlined
 from scara_effmass.kernel.mobility import point_reduced_mass
-from scara_effmass.kernel.person import Person, max_speed, meeting_of, person_mass, present_energy, present_root
+from scara_effmass.kernel.person import (
+    Person,
+    energy_at,
+    energy_with,
+    max_speed,
+    meeting_of,
+    person_mass,
+    present_root,
+)
 from scara_effmass.kernel.pose_change import contact_time, growth, max_growth
 from scara_effmass.kernel.records import HULL_NONE, Case, Mobility, Principal, Setup, Work
 
@@ -262,10 +270,13 @@ def person_line_bound(
     meeting, limit, enough = meeting_of(case, p, setup.mass_factor, alpha, beta, person, math.inf), rate**-0.5, 0.0
     if math.isfinite(least):
         enough = limit / present_root(meeting, max(least, -meeting.gain))
-    ratio = 1.0
+    ratio, factor = 1.0, setup.mass_factor
     if m.hull != HULL_NONE and meeting.heaviest < math.inf:
-        energy = present_energy(meeting, math.sqrt(m.square)) / setup.mass_factor
-        ratio = person_ratio(m, setup.mass_factor * alpha, beta, person.speed, energy, enough)
+        speed, moving = math.sqrt(m.square), person.speed
+        at_vertex = energy_with(energy_at(meeting, speed), speed) / factor
+        if case.obstacle_mobility == 0.0:  # of a clamped body part the robot's share of the energy decides
+            at_vertex, moving = point_reduced_mass(m, factor * alpha, beta) * m.square, 0.0
+        ratio = person_ratio(m, factor * alpha, beta, moving, at_vertex, enough)
     if ratio <= enough:
         return NO_BOUND
     speed = max_speed(meeting, limit / ratio)

@@ -210,21 +210,18 @@ class Mobility:
         energy = self.hull.energy(max(alpha / beta, CLAMPED_TOLERANCE * self.trace))
         return max(point, energy / (beta * self.hull.square))
 
-    def person_ratio(self, alpha: float, beta: float, person_speed: float, energy: float) -> float:
+    def person_ratio(self, alpha: float, beta: float, person_speed: float, at_point: float) -> float:
         """Return a bound of the force anywhere on a link over that of the point, for a person in any direction.
 
-        It holds at the present speed, at which the contact at the point has twice the `energy`. Against a clamped body
-        part, it is that of a person at rest.
+        It holds at the present speed, where w^T (alpha 1 + beta A)^-1 w of the point is `at_point`.
         """
         if self.hull is None:
             return 1.0
-        person_speed = person_speed if alpha > 0.0 else 0.0
         speed = math.sqrt(self.hull.square)
         if self.hull.mobility is None or beta <= 0.0:
             return (speed * math.sqrt(self.hull.speed_ratio) + person_speed) / (speed + person_speed)
         s = max(alpha / beta, CLAMPED_TOLERANCE * self.trace)
-        at_point = energy * beta if person_speed > 0.0 else self.point_reduced_mass(s) * speed**2
-        return math.sqrt(max(1.0, self.hull.energy(s, person_speed) / at_point))
+        return math.sqrt(max(1.0, self.hull.energy(s, person_speed) / (beta * at_point)))
 
     def point_reduced_mass(self, alpha: float, beta: float = 1.0) -> float:
         """Return mu = n^T (alpha I + beta A)^-1 n [kg], that of the worst contact normal.

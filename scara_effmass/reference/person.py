@@ -251,9 +251,13 @@ def person_speed_limit(
 ) -> PersonSpeedLimit:
     """Return the speed of the contact point at which the peak reaches `force` [N], for one line of the drives."""
     contact = PersonContact.of(case, mobility, line, person)
-    ratio, hull = 1.0, mobility.hull
-    if hull is not None and max(contact.masses) < math.inf:
-        ratio = mobility.person_ratio(*line, person.speed, contact.energy(math.sqrt(hull.square)))
+    ratio = 1.0
+    if mobility.hull is not None and not math.isinf(max(contact.masses)):
+        speed = math.sqrt(mobility.hull.square)
+        if case.obstacle_mobility > 0.0:
+            ratio = mobility.person_ratio(*line, person.speed, contact.energy(speed))
+        else:  # of a clamped body part the robot's share of the energy decides
+            ratio = mobility.person_ratio(*line, 0.0, mobility.point_reduced_mass(*line) * speed**2)
     speed = contact.max_speed(force / (ratio * math.sqrt(case.stiffness)))
     return PersonSpeedLimit(
         speed,

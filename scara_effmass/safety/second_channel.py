@@ -64,9 +64,8 @@ class ReferenceChannel:
 
 
 def is_unbounded(contacts: Any) -> Any:  # noqa: ANN401 - records of CONTACT
-    """Return whether rounding decides the force bound: of an infinite mass at rest that is allowed no speed."""
-    is_singular = contacts["smallest_singular_value"] < SINGULAR
-    return is_singular & (contacts["worst_direction_used"] == 1.0) & (contacts["allowable_speed"] == 0.0)
+    """Return whether rounding decides the force bound: that of an infinite mass which is allowed no speed."""
+    return (contacts["smallest_singular_value"] < SINGULAR) & (contacts["allowable_speed"] == 0.0)
 
 
 def fill(contact: Any, result: ContactResult) -> None:  # noqa: ANN401 - a record of CONTACT

@@ -75,12 +75,12 @@ class PlateSim:
         self.data = mujoco.MjData(self.model)
         self._nominal = self.model.body_mass.copy(), self.model.body_inertia.copy(), self.model.dof_armature.copy()
         self._jacobian_of_point = np.zeros((3, self.n))
-        frames = [robot.model.frames[frame] for frame in robot.contact_frames.values()]
-        bodies = [int(self.model.jnt_bodyid[frame.parentJoint - 1]) for frame in frames]
+        self._frames = [robot.model.frames[frame] for frame in robot.contact_frames.values()]
+        bodies = [int(self.model.jnt_bodyid[frame.parentJoint - 1]) for frame in self._frames]
         self._points = [
             # The body, views of its position and orientation, and the place on it.
             (body, self.data.xpos[body], self.data.xmat[body].reshape(3, 3), np.array(frame.placement.translation))
-            for body, frame in zip(bodies, frames, strict=True)
+            for body, frame in zip(bodies, self._frames, strict=True)
         ]
 
     def scale_masses(self, factors: FloatArray) -> None:
@@ -92,6 +92,10 @@ class PlateSim:
         self.model.body_inertia[:] = inertia * by_body[:, None]
         self.model.dof_armature[:] = armature * factors
         mujoco.mj_setConst(self.model, self.data)
+
+    def move_contact(self, point: int, place: FloatArray) -> None:
+        """Move contact point number `point`, such as a link, to `place` (3,) [m] in its own frame."""
+        self._points[point][3][:] = self._frames[point].placement.act(place)
 
     def kinematics(self, q: FloatArray, point: int = 0) -> tuple[FloatArray, FloatArray]:
         """Return J_v (3, n) of contact point number `point`, and the mass matrix (n, n), at `q` (n,)."""

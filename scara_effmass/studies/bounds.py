@@ -16,6 +16,7 @@ from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
+from xml.etree import ElementTree as ET
 
 import numpy as np
 from rich import box
@@ -32,7 +33,7 @@ from scara_effmass.model.load import load_robot
 from scara_effmass.model.lumping import is_scara
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
-from scara_effmass.settings import MassModel, MonitorSettings, ServoSettings
+from scara_effmass.settings import WHOLE_ARM, MassModel, MonitorSettings, ServoSettings
 from scara_effmass.share import share
 from scara_effmass.sim.plate_sim import AT_REST, PlateSim, Surface
 from scara_effmass.studies.random_arm import random_arm
@@ -50,6 +51,9 @@ BELOW = 1.0 - 1e-9
 """Factor on the largest allowed motion that keeps rounding from exceeding it."""
 MIN_LEVER = 1e-3
 """Ratio of contact point speed to joint speed [m] below which a motion is drawn again."""
+
+CONCENTRATION = 0.2
+"""Of the Dirichlet distribution of the weights of a link's vertices at a random place."""
 
 TABLES = read_table(__file__, "bounds.yaml")
 ROBOTS: Mapping[str, Mapping[str, Any]] = TABLES["robots"]
@@ -129,6 +133,26 @@ class MonitoredArm:
         normal = velocity if plate == "velocity" else rng.normal(size=3)
         return np.asarray(normal * (np.sign(normal @ velocity) / np.linalg.norm(normal)))
 
+    def links(self) -> list[int]:
+        """Return the numbers of the contact points that are links as a whole."""
+        return [number for number, contact in enumerate(self.dynamics.contacts) if len(contact.vertices)]
+
+    def random_place(self, rng: np.random.Generator, link: int) -> FloatArray:
+        """Return a random place (3,) [m] in the hull of contact point number `link`, in its frame.
+
+        It is the mean of the vertices with random weights, often near a corner or an edge.
+        """
+        contact = self.dynamics.contacts[link]
+        weights = rng.dirichlet(np.full(len(contact.vertices), CONCENTRATION))
+        return np.asarray(self.dynamics.robot.model.frames[contact.frame].placement.actInv(weights @ contact.vertices))
+
+    def worst_place(
+        self, q: FloatArray, qd: FloatArray, settings: MonitorSettings, link: int, qdd: FloatArray | None = None
+    ) -> FloatArray:
+        """Return where the monitor says that a contact of `link` is worst (3,) [m], in its frame."""
+        contacts = self.monitor(settings).assess_configurations(q[None], qd[None], qdd).contacts
+        return np.array(contacts[0, link]["position_in_link"])
+
     def monitor(self, settings: MonitorSettings) -> Monitor:
         """Return a monitor of this robot with `settings`."""
         if len(self._monitors) >= MAX_MONITORS:
@@ -167,15 +191,41 @@ class MonitoredArm:
 
 @cache
 def arm_of(robot: str) -> MonitoredArm:
-    """Return the arm of ROBOTS named `robot`, or "random arm N"."""
+    """Return the arm of ROBOTS named `robot`, or "random arm N", with a few contact points."""
     if robot.startswith(RANDOM_ARM):
-        with TemporaryDirectory() as folder:
-            path = Path(folder) / "arm.urdf"
-            path.write_text(random_arm(int(robot.removeprefix(RANDOM_ARM))), encoding="utf-8")
-            return MonitoredArm(path, MonitorSettings(contact_points=("tip", "wrist=link2")))
+        return _arm_in(random_arm(int(robot.removeprefix(RANDOM_ARM))), ("tip", "wrist=link2"))
     case = ROBOTS[robot]
     settings = MonitorSettings(contact_points=tuple(case["contact_points"]))
     return MonitoredArm(share("config", *case["file"]), settings, case.get("armature", 0.0))
+
+
+@cache
+def whole_arm_of(robot: str) -> MonitoredArm:
+    """Return the same arm with each moving link watched as a whole; boxes stand for its meshes."""
+    if robot.startswith(RANDOM_ARM):
+        return _arm_in(random_arm(int(robot.removeprefix(RANDOM_ARM))), (WHOLE_ARM,))
+    case = ROBOTS[robot]
+    path = share("config", *case["file"])
+    if "boxes" not in case:
+        return MonitoredArm(path, MonitorSettings(contact_points=(WHOLE_ARM,)))
+    root = ET.parse(path).getroot()  # noqa: S314 - a shipped file
+    for link in root.findall("link"):
+        if link.get("name") in case["boxes"]:
+            for mesh in [*link.findall("visual"), *link.findall("collision")]:
+                link.remove(mesh)
+            center, size = (" ".join(map(str, vector)) for vector in case["boxes"][link.get("name")])
+            collision = ET.SubElement(link, "collision")
+            ET.SubElement(collision, "origin", xyz=center)
+            ET.SubElement(ET.SubElement(collision, "geometry"), "box", size=size)
+    return _arm_in(ET.tostring(root, encoding="unicode"), (WHOLE_ARM,), case.get("armature", 0.0))
+
+
+def _arm_in(text: str, contact_points: tuple[str, ...], armature: float = 0.0) -> MonitoredArm:
+    """Return the arm of the URDF `text`."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "arm.urdf"
+        path.write_text(text, encoding="utf-8")
+        return MonitoredArm(path, MonitorSettings(contact_points=contact_points), armature)
 
 
 def settings_for(region: str = "", **settings: object) -> MonitorSettings:

@@ -1,33 +1,37 @@
 # SPDX-License-Identifier: Apache-2.0
 """Contact anywhere on the arm: what a watched tip misses, and how tight the bound over a link is.
 
-    python -m scara_effmass.studies.links ur10_robot.urdf [URDF ...] --package-dir FOLDER
+    python -m scara_effmass.studies.links ROBOT [ROBOT ...] --package-dir FOLDER
 
-Random configurations and joint velocities with a seed. The tables compare bounds; `--impacts` simulates contacts.
+ROBOT is a URDF with meshes, or a DH file with boxes. Configurations and joint velocities are random, with a seed.
+`scara-effmass evidence` simulates impacts on links.
 """
 
 import argparse
+from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 
-from scara_effmass.iso15066 import limits_for
+from scara_effmass.errors import RobotError
+from scara_effmass.input_files import read_yaml
+from scara_effmass.model.dh import DhFile
 from scara_effmass.model.hulls import package_folders
 from scara_effmass.model.load import load_robot
 from scara_effmass.model.robot import Robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.reference.hull import point_maps
 from scara_effmass.safety import Monitor
-from scara_effmass.settings import WHOLE_ARM, MonitorSettings, ServoSettings
-from scara_effmass.studies.bounds import MonitoredArm, settings_for
+from scara_effmass.settings import WHOLE_ARM, MonitorSettings
 from scara_effmass.values import FloatArray
 
 POINTS = 2000
-"""Random points on the surface of each link, besides the vertices of its mesh."""
-PLACES = 30
-"""Places of each link that can be hit: the vertices of its hull, and random ones within it."""
+"""Random points on each mesh or box of a link, besides its vertices."""
+CORNERS = np.array([*product((-1.0, 1.0), repeat=3)])
 REGIONS = ("hand_fingers", "upper_arm_elbow", "chest")
 """Body regions with a light, a middle and a heavy body part."""
 
@@ -52,7 +56,7 @@ def random_motions(robot: Robot, count: int, seed: int) -> tuple[FloatArray, Flo
 
 
 def missed(path: Path, settings: MonitorSettings, count: int, seed: int) -> Missed:
-    """Return what the tip of a URDF misses with random motions at the speed that it is allowed."""
+    """Return what the first contact point of a robot misses with random motions at the speed that it is allowed."""
     whole = settings.model_copy(update={"contact_points": (WHOLE_ARM,)})
     settings = settings.model_copy(update={"contact_links": ()})
     tip, arm = (Monitor(RobotDynamics(load_robot(path, s)), s) for s in (settings, whole))
@@ -61,7 +65,7 @@ def missed(path: Path, settings: MonitorSettings, count: int, seed: int) -> Miss
         contact = tip.assess_configurations(q, qd).contacts[:, 0]
         qd = qd * (contact["allowable_speed"] / contact["speed"])[:, None]
     contacts = arm.assess_configurations(q, qd).contacts
-    names = arm.dynamics.contact_points[1:]  # the first is the link of the tip
+    names = arm.dynamics.contact_points[1:]  # the first is the tip, or its link
     shares = (contacts["speed"] / np.maximum(contacts["allowable_speed"], 1e-9))[:, 1:]
     worst = shares.max(axis=1)
     is_over = worst > 1.0
@@ -69,19 +73,45 @@ def missed(path: Path, settings: MonitorSettings, count: int, seed: int) -> Miss
     return Missed(float(np.mean(is_over)), float(np.median(worst[is_over])), float(worst.max()), governing)
 
 
-def surfaces(path: Path, settings: MonitorSettings, seed: int) -> dict[str, tuple[int, FloatArray]]:
-    """Return the joint and points (N, 3) [m] on the mesh of each link that moves, in the frame of the joint."""
-    rng, model, found = np.random.default_rng(seed), pin.buildModelFromUrdf(str(path)), {}
+def surfaces(path: Path, settings: MonitorSettings, seed: int) -> dict[str, tuple[str, FloatArray]]:
+    """Return the joint and points (N, 3) [m] on meshes or boxes of each link that moves, in the frame of the joint."""
+    rng = np.random.default_rng(seed)
+    return _box_surfaces(path, rng) if path.suffix == ".yaml" else _mesh_surfaces(path, settings, rng)
+
+
+def _box_surfaces(path: Path, rng: np.random.Generator) -> dict[str, tuple[str, FloatArray]]:
+    """Return `surfaces` of the boxes in a DH file."""
+    file, found = DhFile.model_validate(read_yaml(path, RobotError)), {}
+    for row, link in zip(file.joints, file.links, strict=True):
+        pose, points = row.link_in_joint(), []
+        for box in link.boxes:
+            corners = box.center + 0.5 * CORNERS * box.size
+            points.append(_points_on(corners, ConvexHull(corners).simplices, rng) @ pose.rotation.T + pose.translation)
+        if points:
+            found[link.name] = row.name, np.vstack(points)
+    return found
+
+
+def _points_on(vertices: FloatArray, triangles: NDArray[np.int64], rng: np.random.Generator) -> FloatArray:
+    """Return the vertices (V, 3) of `triangles` (T, 3), and POINTS random points on these."""
+    corners = vertices[triangles]
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    weights = rng.dirichlet(np.ones(3), POINTS)
+    chosen = corners[rng.choice(len(areas), POINTS, p=areas / areas.sum())]
+    return np.vstack([vertices, np.einsum("nk,nkd->nd", weights, chosen)])
+
+
+def _mesh_surfaces(
+    path: Path, settings: MonitorSettings, rng: np.random.Generator
+) -> dict[str, tuple[str, FloatArray]]:
+    """Return `surfaces` of the meshes of a URDF."""
+    model, found = pin.buildModelFromUrdf(str(path)), {}
     folders = [str(folder) for folder in package_folders(path, [Path(folder) for folder in settings.package_dirs])]
     shapes = pin.buildGeomFromUrdf(model, str(path), pin.GeometryType.COLLISION, folders).geometryObjects
     for shape in (s for s in shapes if s.parentJoint > 0 and hasattr(s.geometry, "tri_indices")):
         mesh = shape.geometry
-        vertices = np.array(mesh.vertices())
-        corners = vertices[[[mesh.tri_indices(i)[k] for k in range(3)] for i in range(mesh.num_tris)]]
-        areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-        weights = rng.dirichlet(np.ones(3), POINTS)
-        chosen = corners[rng.choice(len(areas), POINTS, p=areas / areas.sum())]
-        points = np.vstack([vertices, np.einsum("nk,nkd->nd", weights, chosen)])
+        triangles = np.array([[mesh.tri_indices(i)[k] for k in range(3)] for i in range(mesh.num_tris)])
+        points = _points_on(np.array(mesh.vertices()), triangles, rng)
         name = model.frames[shape.parentFrame].name
         placed = points @ shape.placement.rotation.T + shape.placement.translation
         found[name] = model.names[shape.parentJoint], placed
@@ -89,7 +119,7 @@ def surfaces(path: Path, settings: MonitorSettings, seed: int) -> dict[str, tupl
 
 
 def tightness(path: Path, settings: MonitorSettings, count: int, seed: int) -> dict[str, FloatArray]:
-    """Return, per link, the bound of the force over the largest one of the points on its mesh (count,), 1 or more.
+    """Return, per link, the bound of the force over the largest one of the points on it (count,), 1 or more.
 
     The full mass decides, at the first touch, with a body region by turns.
     """
@@ -129,61 +159,16 @@ def largest_energy(points: FloatArray, twist: FloatArray, mobility: FloatArray, 
     return float((np.einsum("ni,nij,nj->n", v, adjugate, v) / determinants).max())
 
 
-def impacts(path: Path, settings: MonitorSettings, count: int, seed: int) -> FloatArray:
-    """Return the simulated peak force over the limit (count,) of impacts at the worst of PLACES places of a link.
-
-    The link, its places, body region, pose and joint velocities are random, and every other contact has servo drives;
-    the speed is that allowed for the link as a whole, all margins are 0, and the plate has the worst normal.
-    """
-    rng, whole = np.random.default_rng(seed), settings.model_copy(update={"contact_points": (WHOLE_ARM,)})
-    robot = load_robot(path, whole)
-    links, entries = [*robot.hulls], list[str]()
-    for name, vertices in robot.hulls.items():
-        pose = robot.model.frames[robot.contact_frames[name]].placement
-        mixed = rng.dirichlet(np.full(len(vertices), 0.2), PLACES - len(vertices)) @ vertices
-        for number, place in enumerate(np.vstack([vertices, mixed])):
-            x, y, z = pose.actInv(place).tolist()
-            entries.append(f"{name} {number}={name}: {x!r} {y!r} {z!r}")
-    arm = MonitoredArm(path, settings.model_copy(update={"contact_points": (*entries, WHOLE_ARM)}))
-    points = arm.dynamics.contact_points
-    regions = [limit.region for limit in limits_for(settings_for())]
-    ratios: list[float] = []
-    while len(ratios) < count:
-        servo = ServoSettings(bandwidth=float(rng.choice((1.0, 5.0, 20.0)))) if len(ratios) % 2 else None
-        drives = {"drives": "servo", "servo": servo} if servo else {}
-        chosen, link = settings_for(regions[rng.integers(len(regions))], **drives), links[rng.integers(len(links))]
-        places = [i for i, name in enumerate(points) if name.startswith(f"{link} ")]
-        q = rng.uniform(arm.lower, arm.upper)
-        creep = 1e-2 * rng.uniform(-1.0, 1.0, len(q))
-        qd = arm.allowed(q, creep, chosen, points.index(link))
-        if qd is None or not qd.any():
-            continue
-        found = arm.monitor(chosen).assess_configurations(q[None], qd[None]).contacts[0]
-        point = places[int(np.argmax(found["force_bound"][places]))]
-        (limit,) = limits_for(chosen)
-        normal = arm.sim.worst_normal(q, qd, limit, servo, point)
-        ratios.append(arm.sim.touch(q, qd, normal, limit, servo, point).force / limit.permissible_force_n)
-    return np.array(ratios)
-
-
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("urdf", nargs="+", type=Path)
+    parser.add_argument("robot", nargs="+", type=Path)
     parser.add_argument("--package-dir", action="append", default=[])
     parser.add_argument("--states", type=int, default=10_000)
-    parser.add_argument("--impacts", type=int, default=0, help="simulate so many impacts in place of the tables")
     parser.add_argument("--seed", type=int, default=1)
     args = parser.parse_args()
     settings = MonitorSettings(package_dirs=tuple(args.package_dir))
-    for path in args.urdf:
-        if args.impacts:
-            forces = impacts(path, settings, args.impacts, args.seed)
-            for drives, values in (("free", forces[::2]), ("servo", forces[1::2])):
-                over, p50 = int(np.sum(values > 1.0)), float(np.median(values))
-                text = f"{over} of {len(values)} impacts above the limit, worst {values.max():.3f}, median {p50:.3f}"
-                print(f"{path.stem}, {drives} drives: {text}")  # noqa: T201
-            continue
+    for path in args.robot:
         miss = missed(path, settings, args.states, args.seed)
         links = ", ".join(f"{name} {share:.0%}" for name, share in miss.governing.items() if share >= 0.01)
         print(  # noqa: T201

@@ -16,7 +16,7 @@ GRAVITY = 9.81
 LINK = """  <link name="link{i}"><inertial>
     <origin xyz="{com}"/><mass value="{mass:.6f}"/>
     <inertia ixx="{ixx:.6f}" iyy="{iyy:.6f}" izz="{izz:.6f}" ixy="0" ixz="0" iyz="0"/>
-  </inertial></link>
+  </inertial><collision><origin xyz="{com}"/><geometry><box size="{size}"/></geometry></collision></link>
 """
 JOINT = """  <joint name="joint{i}" type="revolute">
     <parent link="{parent}"/><child link="link{i}"/><origin xyz="{place}"/><axis xyz="{axis}"/>
@@ -31,7 +31,7 @@ TIP = """  <link name="tip"/>
 def random_arm(seed: int) -> str:
     """Return the URDF of arm number `seed`: 3 to 7 revolute axes along x, y or z, no two in a row the same.
 
-    Links are 0.1 to 0.4 m long and weigh 6 kg at the base to 1 kg at the tip, each times 0.5 to 2, like bars. Gravity
+    Links are boxes, 0.1 to 0.4 m long, and weigh 6 kg at the base to 1 kg at the tip, each times 0.5 to 2. Gravity
     cannot exceed the effort limits.
     """
     rng = np.random.default_rng((SERIES, seed))
@@ -45,9 +45,10 @@ def random_arm(seed: int) -> str:
     text, axis, parent = '<robot name="random_arm">\n  <link name="base"/>\n', 2, "base"
     for i in range(axes):
         span, thickness = spans[i + 1], float(rng.uniform(0.04, 0.1))
-        sizes = np.square(np.abs(span) + thickness)
-        ixx, iyy, izz = (masses[i] / 12.0 * (sizes.sum() - sizes)).tolist()
-        text += LINK.format(i=i + 1, com=_xyz(0.5 * span), mass=masses[i], ixx=ixx, iyy=iyy, izz=izz)
+        size = np.abs(span) + thickness
+        squares = np.square(size)
+        ixx, iyy, izz = (masses[i] / 12.0 * (squares.sum() - squares)).tolist()
+        text += LINK.format(i=i + 1, com=_xyz(0.5 * span), mass=masses[i], ixx=ixx, iyy=iyy, izz=izz, size=_xyz(size))
         effort = GRAVITY * float(masses[i:].sum() * lengths[i + 1 :].sum())
         text += JOINT.format(
             i=i + 1,

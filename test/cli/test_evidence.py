@@ -26,7 +26,7 @@ def test_short_run_and_its_continuation(cli: Cli, tmp_path: Path) -> None:
     result = cli("evidence", "-o", folder, "--impacts", "2", "--jobs", "1", "--json")
     summary = json.loads(result.stdout)
     assert (summary["impacts"], summary["simulated"]) == (2, True)
-    assert len((folder / "impacts.csv").read_text(encoding="utf-8").splitlines()) == 1 + 4 + 3
+    assert len((folder / "impacts.csv").read_text(encoding="utf-8").splitlines()) == 1 + 3 + 3
     other = cli("evidence", "-o", folder, "--impacts", "2", "--seed", "2")
     assert other.returncode == 2
     assert "must be of this seed and version" in other.stderr

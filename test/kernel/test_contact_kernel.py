@@ -126,7 +126,7 @@ def compare(
         tolerance = max(tolerance, CANCELLED)
     is_singular = expected["smallest_singular_value"] < SINGULAR
     unbounded = is_unbounded(expected)
-    contacts["force_bound"][unbounded] = expected["force_bound"][unbounded]
+    expected["force_bound"][unbounded] = contacts["force_bound"][unbounded]
     for name in CONTACT.names or ():
         for rows, bound in ((is_singular, max(singular, tolerance)), (~is_singular, tolerance)):
             if bound < math.inf:

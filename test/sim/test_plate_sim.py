@@ -6,12 +6,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from scara_effmass.iso15066 import limits_for
 from scara_effmass.settings import MonitorSettings, ServoSettings
 from scara_effmass.sim.plate_sim import PHASE_STEP
-from scara_effmass.studies.bounds import ROBOTS, arm_of
+from scara_effmass.studies.bounds import ROBOTS, arm_of, whole_arm_of
 
 (CHEST,) = limits_for(MonitorSettings(body_regions=("chest",)))
 STILL = 1e-6
@@ -32,6 +33,21 @@ def test_mujoco_and_pinocchio_agree_on_every_contact_point(robot: str) -> None:
         robot_matrix = description.mass_matrix(description.model, description.model.createData(), q)
         upper = np.triu_indices(arm.sim.n)  # Pinocchio fills this half only
         assert np.allclose(mass_matrix[upper], robot_matrix[upper], rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_mujoco_and_pinocchio_agree_on_every_place_of_a_link(robot: str) -> None:
+    arm, rng = whole_arm_of(robot), np.random.default_rng(1)
+    model = arm.dynamics.robot.model
+    data = model.createData()
+    for link in arm.links():
+        q, place = rng.uniform(arm.lower, arm.upper), arm.random_place(rng, link)
+        arm.sim.move_contact(link, place)
+        frame = arm.dynamics.contacts[link].frame
+        twist = pin.computeFrameJacobian(model, data, q, frame, pin.ReferenceFrame.LOCAL)
+        pin.framesForwardKinematics(model, data, q)
+        expected = data.oMf[frame].rotation @ (twist[:3] - pin.skew(place) @ twist[3:])
+        assert np.allclose(arm.sim.kinematics(q, link)[0], expected, atol=1e-8)
 
 
 def test_peak_of_free_joints_in_one_pose_is_v_root_mu_k() -> None:

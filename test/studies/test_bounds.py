@@ -13,7 +13,7 @@ from scara_effmass.settings import MonitorSettings, ServoSettings
 from scara_effmass.share import share
 from scara_effmass.sim.recordings import EPOCH_NS
 from scara_effmass.studies import bounds
-from scara_effmass.studies.bounds import TINY, MonitoredArm, arm_of
+from scara_effmass.studies.bounds import RANDOM_ARM, ROBOTS, TINY, MonitoredArm, arm_of, whole_arm_of
 from scara_effmass.values import FloatArray, JointState, Verdict
 
 TOLERANCE = 1.005
@@ -259,3 +259,52 @@ def test_tool_at_its_limit_does_not_allow_too_fast_an_elbow(scara: MonitoredArm)
         slower = assess(scara, q, qd * decision.speed_scaling * (1.0 - 1e-6), **options)
         assert {contact.verdict for contact in slower.contacts} <= {Verdict.OK, Verdict.WARN}
     assert too_fast >= 15
+
+
+@pytest.mark.parametrize("pushing", [None, ServoSettings(bandwidth=1.0)])
+def test_person_who_meets_a_slow_link_at_a_heavier_place_is_within_the_bound(pushing: ServoSettings | None) -> None:
+    """Where it is fastest the link yields; of a servo, too, the energy of the person counts everywhere on the link."""
+    arm, link = whole_arm_of("random arm 2"), 4
+    arm.sim.scale_masses(np.ones(arm.sim.n))
+    q, qd = np.array([-2.2896, 2.4170, 2.2589, 0.2577]), np.array([-0.0059, 0.0187, -0.0236, 0.0246])
+    person = np.array([-0.0414, 0.1428, -0.1338])
+    settings = MonitorSettings(
+        body_regions=("lower_leg",), person_speed=0.2, servo=ServoSettings(bandwidth=1.0), effective_mass_model="full"
+    )
+    (limit,) = limits_for(settings)
+    arm.sim.move_contact(link, np.array([0.1543, 0.0226, 0.0816]))
+    normal = arm.sim.worst_normal(q, qd, limit, pushing, link, person)
+    peak = arm.sim.touch(q, qd, normal, limit, pushing, link, person=person).force
+    assert peak > 1.1 * limit.permissible_force_n
+    contact = arm.monitor(settings).assess_configurations(q[None], qd[None]).contacts[0, link]
+    assert peak < contact["force_bound"]
+    assert contact["allowable_speed"] == 0.0
+
+
+@pytest.mark.parametrize("is_coupled", [False, True])
+def test_bound_of_a_moving_person_holds_everywhere_on_a_slow_link(is_coupled: bool) -> None:  # noqa: FBT001
+    """At the first touch with free joints, which hit no harder than those of a servo."""
+    rng, ratios = np.random.default_rng(1), []
+    servo = ServoSettings(bandwidth=2.0, computed_torque=is_coupled)
+    for _ in range(80):
+        arm = whole_arm_of([*ROBOTS, f"{RANDOM_ARM}2"][rng.integers(5)])
+        arm.sim.scale_masses(np.ones(arm.sim.n))
+        link, region, person_speed = int(rng.choice(arm.links())), ("chest", "lower_leg")[rng.integers(2)], 0.2
+        settings = MonitorSettings(
+            body_regions=(region,), person_speed=person_speed, servo=servo, effective_mass_model="full"
+        )
+        (limit,) = limits_for(settings)
+        arm.sim.move_contact(link, arm.random_place(rng, link))
+        q, qd = arm.draw_motion(rng, link, straight=False)
+        contact = arm.monitor(settings).assess_configurations(q[None], qd[None]).contacts[0, link]
+        energy = 0.0
+        for place in (arm.random_place(rng, link) for _ in range(12)):
+            arm.sim.move_contact(link, place)
+            person = arm.sim.worst_person(q, qd, limit, person_speed, link)
+            jacobian, inertia = arm.sim.kinematics(q, link)
+            mobility = jacobian @ np.linalg.solve(inertia, jacobian.T) + np.eye(3) / limit.body_mass_kg
+            closing = jacobian @ qd - person
+            energy = max(energy, float(closing @ np.linalg.solve(mobility, closing)))
+        ratios.append(np.sqrt(energy * limit.stiffness_n_m) / contact["force_bound"])
+    assert max(ratios) <= 1.0
+    assert np.median(ratios) > 0.7
