@@ -353,14 +353,12 @@ def speed_of(meeting: Meeting, energy: Energy, root: float) -> float:
 def max_speed(meeting: Meeting, root: float) -> float:
     """Return the largest speed of the contact point with this `root`; negative if the person has to be slower.
 
-    No person is slower than at rest.
-
     Every round takes the bound of the energy at the speed of the last one, and none of them is too fast.
     """
     root -= meeting.root_gain
     at_rest = person_mass(meeting)
     if not meeting.person_speed * math.sqrt(at_rest) < root:
-        return max(root / math.sqrt(at_rest) - meeting.person_speed - meeting.gain, -meeting.person_speed)
+        return root / math.sqrt(at_rest) - meeting.person_speed - meeting.gain
     start = root / math.sqrt(meeting.heaviest) - meeting.person_speed
     speed = speed_of(meeting, energy_at(meeting, max(0.0, start)), root)
     for _ in range(MAX_ROUNDS):
@@ -368,7 +366,7 @@ def max_speed(meeting: Meeting, root: float) -> float:
         speed = max(last, speed_of(meeting, energy_at(meeting, last), root))
         if speed - last <= ROUNDED * speed:
             break
-    return max(speed - meeting.gain, -meeting.person_speed)
+    return speed - meeting.gain
 
 
 @inlined

@@ -286,12 +286,20 @@ def person_line_bound(
 
 
 @inlined
+def no_slower_than_at_rest(bound: Bound, person: Person) -> Bound:
+    """Return `bound` with a speed that makes the person no slower than at rest."""
+    speed = max(bound.speed, -person.speed)
+    return Bound(speed, bound.reduced_mass, bound.growth, bound.push, bound.root, bound.gain)
+
+
+@inlined
 def person_case_bound(
     case: Case, p: Principal, m: Mobility, setup: Setup, rate: float, person: Person, least: float
 ) -> Bound:
     """Return the bound of the drives of the settings with a moving person, as `case_bound`."""
     if case.line_count > 1 and not m.matrix_trace <= MAX_MOBILITY * setup.mass_factor:
-        return person_line_bound(case, p, m, setup, (case.obstacle_mobility, 0.0), rate, person, least)
+        line = case.obstacle_mobility, 0.0
+        return no_slower_than_at_rest(person_line_bound(case, p, m, setup, line, rate, person, least), person)
     fastest = person_line_bound(case, p, m, setup, (case.lines[0, 0], case.lines[0, 1]), rate, person, least)
     for i in range(1, case.line_count):
         if fastest.speed == math.inf:
@@ -299,7 +307,7 @@ def person_case_bound(
         bound = person_line_bound(case, p, m, setup, (case.lines[i, 0], case.lines[i, 1]), rate, person, least)
         if bound.speed > fastest.speed:
             fastest = bound
-    return fastest
+    return no_slower_than_at_rest(fastest, person)
 
 
 @inlined
@@ -315,6 +323,7 @@ def person_push_bound(
     for k in range(len(mobilities)):
         rate, line = case.stiffness / rest, (case.obstacle_mobility, 1.0)
         bound = person_line_bound(case, work.principals[k], mobilities[k], setup, line, rate, person, least)
+        bound = no_slower_than_at_rest(bound, person)
         if bound.speed < slowest.speed:
             slowest = bound
     return Bound(slowest.speed, slowest.reduced_mass, 0.0, force, slowest.root, 0.0)

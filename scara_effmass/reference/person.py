@@ -175,10 +175,9 @@ class PersonContact:
     def max_speed(self, root: float) -> float:
         """Return the largest speed [m/s] of the contact point whose `root` is the stated one.
 
-        Negative if there is none: then by how much slower the person has to be, at most the person's speed. `root`
-        never falls as the speed rises.
+        Negative if there is none: then by how much slower the person has to be. `root` never falls as the speed rises.
         """
-        return max(self._max_speed(root - self.root_gain) - self.gain, -self.person_speed)
+        return self._max_speed(root - self.root_gain) - self.gain
 
     def _max_speed(self, root: float) -> float:
         """Return that of a robot that does not accelerate."""

@@ -72,7 +72,8 @@ def _of_mobility(
     """Return the bound F = u sqrt(mu k), where 1/mu(n) >= alpha + beta n^T A n holds for every one of the `lines`."""
     if person is not None:
         force = max(0.0, min(case.force, max_force))
-        return max((person_speed_limit(case, mobility, line, person, force) for line in lines), key=_speed)
+        found = max((person_speed_limit(case, mobility, line, person, force) for line in lines), key=_speed)
+        return replace(found, allowable_speed=max(found.allowable_speed, -person.speed))  # none is slower than at rest
     alpha, beta = min(lines, key=lambda line: mobility.point_reduced_mass(*line))
     mu = mobility.reduced_mass(alpha, beta)
     growth = gain = 0.0
