@@ -33,6 +33,8 @@ MAX_ROUNDS = 40
 """Newton steps for l and rounds for the speed; both converge quadratically, mostly in five."""
 ROUNDED = 1e-14
 """Relative step below which they end."""
+EXCEEDED = 1e-12
+"""Relative excess of a root, beyond rounding."""
 HALVINGS = 52
 """Bisections for the speed where the pose changes."""
 IDENTITY = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
@@ -353,7 +355,8 @@ def speed_of(meeting: Meeting, energy: Energy, root: float) -> float:
 def max_speed(meeting: Meeting, root: float) -> float:
     """Return the largest speed of the contact point with this `root`; negative if the person has to be slower.
 
-    Every round takes the bound of the energy at the speed of the last one, and none of them is too fast.
+    Every round takes the bound of the energy at the speed of the last one. None of them is too fast, unless the pose
+    changes so fast that the force falls with the energy: then the speed follows by halving.
     """
     root -= meeting.root_gain
     at_rest = person_mass(meeting)
@@ -366,6 +369,15 @@ def max_speed(meeting: Meeting, root: float) -> float:
         speed = max(last, speed_of(meeting, energy_at(meeting, last), root))
         if speed - last <= ROUNDED * speed:
             break
+    if root_at(meeting, energy_at(meeting, speed), speed) > root * (1.0 + EXCEEDED):
+        slow = 0.0
+        for _ in range(HALVINGS):
+            middle = 0.5 * (slow + speed)
+            if root_at(meeting, energy_at(meeting, middle), middle) <= root:
+                slow = middle
+            else:
+                speed = middle
+        return slow - meeting.gain
     return speed - meeting.gain
 
 

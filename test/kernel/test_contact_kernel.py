@@ -271,6 +271,12 @@ def test_kernel_equals_the_reference_where_joints_saturate(robot: Path, normal: 
     compare_robot(robot, servo | {"contact_normal": normal, "effective_mass_model": "full"}, 7)
 
 
+def test_kernel_equals_the_reference_where_the_force_falls_with_the_energy() -> None:
+    """Where the pose changes faster than the contact lasts, a bound of the energy is none of the force."""
+    (robot,) = (path for path in ROBOTS if path.stem == "kinova")
+    compare_robot(robot, {"person_speed": 0.2}, 4)
+
+
 def test_force_that_rounding_decides_is_no_disagreement() -> None:
     """A push on a clamped body part by an arm that stands in a singular pose, which allows no speed."""
     normal = {"contact_normal": "1 -2 0.5", "contact_normal_frame": "ee_link"}
