@@ -42,7 +42,7 @@ def test_every_live_impact_is_in_the_recording(cli_process: Cli, tmp_path: Path,
     # The scalars live 2 s and the markers are the last 10: on a busy machine the recorder can be later than that.
     lost = {name for name, topic in result["recording"]["topics"].items() if any(topic["lost"].values())}
     assert lost <= {"/allowable_speed", "/speed_scaling", "/effective_mass_markers"}
-    impact = max(result["impacts"], key=lambda impact: impact["speed"])  # the first one may be slower on a busy machine
+    impact = result["impacts"][0]
     assert impact["simulated"] is True
     assert (impact["configuration"], impact["obstacle_mass"]) == ("300_200", 0.5)
     assert impact["speed"] == pytest.approx(0.25, abs=0.002)
