@@ -46,9 +46,7 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 @pytest.fixture(scope="session")
 def dynamics() -> RobotDynamics:
-    return RobotDynamics(
-        load_robot(share("config", "omron_i4_550l.yaml"), MonitorSettings(contact_points=("tool", "elbow")))
-    )
+    return RobotDynamics(load_robot(share("config", "omron_i4_550l.yaml"), MonitorSettings()))
 
 
 @pytest.fixture(scope="session")

@@ -212,7 +212,7 @@ class TestElbow:
         dynamics = RobotDynamics(robot)
         assert dynamics.lumped is not None
         m2, m3 = dynamics.lumped.planar_masses(robot)
-        elbow = dynamics.at(np.array([q1, q2, 0.1, 0.0]), np.array([rate, -0.7, 0.1, 0.2])).contacts[1]
+        _, elbow = dynamics.at(np.array([q1, q2, 0.1, 0.0]), np.array([rate, -0.7, 0.1, 0.2])).contacts
         assert elbow.speed == pytest.approx(0.275 * rate, rel=1e-12)
         assert elbow.lumped == pytest.approx(m2 + m3 * np.sin(q2) ** 2, rel=1e-9)
         assert elbow.effective_mass(ModelCode.LUMPED, None) == pytest.approx(elbow.lumped, rel=1e-6)

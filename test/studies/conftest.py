@@ -26,9 +26,7 @@ STIFFNESS = 1e6
 
 @pytest.fixture(scope="session")
 def dynamics() -> RobotDynamics:
-    return RobotDynamics(
-        load_robot(share("config", "omron_i4_550l.yaml"), MonitorSettings(contact_points=("tool", "elbow")))
-    )
+    return RobotDynamics(load_robot(share("config", "omron_i4_550l.yaml"), MonitorSettings()))
 
 
 @pytest.fixture(scope="session")
