@@ -33,15 +33,19 @@ _DOWN = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """Turns y, the axis of a cylinder in three.js, to z."""
 
 
-def stl_of(robot: Robot, number: int) -> bytes:
-    """Return the hull of the contact of that `number` among those with hulls, in the frame of its joint, as STL."""
+def stl_of(robot: Robot) -> list[bytes]:
+    """Return each hull of a link in the frame of its joint, as STL, in the order of the contacts."""
+    if not robot.hulls:
+        return []
     from scara_effmass.model.hulls import triangles  # noqa: PLC0415 - scipy.spatial takes long to import
 
-    names = [name for name in robot.contact_frames if name in robot.hulls]
-    corners = triangles(robot.hulls[names[number]])
-    facets = np.zeros(len(corners), STL)
-    facets["corners"] = corners
-    return bytes(80) + np.uint32(len(facets)).tobytes() + facets.tobytes()
+    files = []
+    for name in (name for name in robot.contact_frames if name in robot.hulls):
+        corners = triangles(robot.hulls[name])
+        facets = np.zeros(len(corners), STL)
+        facets["corners"] = corners
+        files.append(bytes(80) + np.uint32(len(facets)).tobytes() + facets.tobytes())
+    return files
 
 
 class RobotScene:
@@ -96,11 +100,10 @@ class RobotScene:
             verdict = contacts[name].verdict if is_current and name in contacts else Verdict.UNKNOWN
             hull.move(*pose.translation.tolist()).rotate_R(pose.rotation.tolist())
             hull.material(VERDICT_COLORS[verdict], HULL_OPACITY)
-        for name, place in geometry.contact_points.items():
+        for name, at in geometry.places(status.contacts).items():
             contact = contacts.get(name)
             if contact is None:
                 self.note = f"the monitor has no contact point {name}: give the dashboard its robot and parameters"
-            at = contact.position if contact is not None and name in geometry.hulls else place  # the worst place
             self._object("contact", VELOCITY_COLOR).move(*at).scale(1.6 * thin)
             if is_current and contact is not None and contact.verdict is not Verdict.UNKNOWN:
                 self._draw_motion(contact, np.array(at))

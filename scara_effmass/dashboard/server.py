@@ -182,7 +182,7 @@ def serve(
         name = {"Content-Disposition": 'attachment; filename="episodes.csv"'}
         return Response(csv_of(client), media_type="text/csv", headers=name)
 
-    hulls = [stl_of(dynamics.robot, number) for number in range(len(dynamics.robot.hulls))]
+    hulls = stl_of(dynamics.robot)
 
     @page_app.get("/hulls/{number}.stl")
     def hull(number: int) -> Response:

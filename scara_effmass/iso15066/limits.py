@@ -87,10 +87,9 @@ def limits_for(settings: MonitorSettings, contact: str = "") -> tuple[Limit, ...
     that is unknown, repeated or of the head (where the standard permits no contact), for a setting that is looser than
     the standard in every chosen region, and for limits that permit less than `MIN_FORCE_N`.
     """
+    area_cm2 = _CM2_PER_M2 * contact_area(settings, contact)
     regions = _chosen_regions(settings.body_regions)
-    limits = tuple(
-        _standard_limit(region, settings.contact, _CM2_PER_M2 * contact_area(settings, contact)) for region in regions
-    )
+    limits = tuple(_standard_limit(region, settings.contact, area_cm2) for region in regions)
     _check_not_looser(settings, limits)
     limits = tuple(_tightened(limit, settings) for limit in limits)
     weakest = min(limits, key=lambda limit: limit.permissible_force_n)

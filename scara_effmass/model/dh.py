@@ -7,7 +7,6 @@ import math
 import reprlib
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
-from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -304,7 +303,7 @@ def _hulls(
     file: DhFile, origin: str, settings: MonitorSettings, taken: Collection[str]
 ) -> tuple[dict[str, FloatArray], list[tuple[str, int, pin.SE3]]]:
     """Return the hulls of the links that `whole_arm` watches, and these as contact points. Raises RobotError."""
-    from scara_effmass.model.hulls import stated_hull  # noqa: PLC0415 - scipy.spatial takes long to import
+    from scara_effmass.model.hulls import shape_points, stated_hull  # noqa: PLC0415 - scipy.spatial takes long to import
 
     hulls, points = dict[str, FloatArray](), list[tuple[str, int, pin.SE3]]()
     if not file.has_boxes:
@@ -318,8 +317,7 @@ def _hulls(
             continue
         if link.name in taken:
             raise RobotError(f"{origin}: contact_points.{link.name}: must have another name than the link")
-        signs = np.array([*product((-0.5, 0.5), repeat=3)])
-        corners = np.concatenate([np.array(box.center) + signs * np.array(box.size) for box in link.boxes])
+        corners = np.concatenate([shape_points("box", box.size) + box.center for box in link.boxes])
         hulls[link.name] = stated_hull(link.name, joint, corners @ pose.rotation.T + pose.translation).vertices
         points.append((link.name, joint, pose))
     return hulls, points

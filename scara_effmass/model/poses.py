@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +11,7 @@ import pinocchio as pin
 
 from scara_effmass.model.lumping import LumpedModel
 from scara_effmass.model.robot import Robot
-from scara_effmass.values import FloatArray, Vector3
+from scara_effmass.values import ContactAssessment, FloatArray, Vector3
 
 MIN_SEGMENT_M = 1e-6
 """Length [m] below which a segment is not drawn."""
@@ -28,6 +29,11 @@ class PoseGeometry(NamedTuple):
     lumped_masses: tuple[tuple[float, Vector3], ...]
     contact_points: dict[str, Vector3]
     hulls: dict[str, pin.SE3]
+
+    def places(self, contacts: Iterable[ContactAssessment]) -> dict[str, Vector3]:
+        """Return where each contact point is, a link as a whole at its worst place among `contacts`."""
+        worst = {contact.contact_point: contact.position for contact in contacts if any(contact.position_in_link)}
+        return self.contact_points | worst
 
 
 class MassEllipsoid(NamedTuple):

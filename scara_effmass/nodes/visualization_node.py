@@ -146,9 +146,7 @@ class VisualizationNode(LifecycleBase):
             contacts.append(unknown_contact("", str(pose)))
         else:
             geometry = pose_geometry(dynamics.robot, dynamics.lumped, pose.position)
-            # A link as a whole is marked at its worst place.
-            worst = {contact.contact_point: contact.position for contact in contacts if any(contact.position_in_link)}
-            places = dict(geometry.contact_points) | worst
+            places = geometry.places(contacts)
             for name, pose_of_hull in geometry.hulls.items():
                 surfaces[name] = self._triangles[name] @ pose_of_hull.rotation.T + pose_of_hull.translation
             for marker in robot_markers(geometry):

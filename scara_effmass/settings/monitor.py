@@ -380,28 +380,11 @@ class MonitorSettings(FrozenSettings):
             raise ValueError(f"must be at most max_velocity_lag = {max_lag_s} s")
         return window_s
 
-    @field_validator("joint_map")
+    @field_validator("joint_map", "joint_limits", "contact_areas", "payload_shape")
     @classmethod
-    def _check_joint_map(cls, entries: tuple[str, ...]) -> tuple[str, ...]:
-        _renames(entries)
-        return entries
-
-    @field_validator("joint_limits")
-    @classmethod
-    def _check_joint_limits(cls, entries: tuple[str, ...]) -> tuple[str, ...]:
-        _limits(entries)
-        return entries
-
-    @field_validator("contact_areas")
-    @classmethod
-    def _check_contact_areas(cls, entries: tuple[str, ...]) -> tuple[str, ...]:
-        _areas(entries)
-        return entries
-
-    @field_validator("payload_shape")
-    @classmethod
-    def _check_payload_shape(cls, entries: tuple[str, ...]) -> tuple[str, ...]:
-        _shapes(entries)
+    def _check_entries(cls, entries: tuple[str, ...], info: ValidationInfo) -> tuple[str, ...]:
+        parsers = {"joint_map": _renames, "joint_limits": _limits, "contact_areas": _areas, "payload_shape": _shapes}
+        parsers[str(info.field_name)](entries)
         return entries
 
     @field_validator("payload_topic")
@@ -418,11 +401,10 @@ class MonitorSettings(FrozenSettings):
     def _check_contact_normal(cls, text: str, info: ValidationInfo) -> str:
         if text not in {"worst", "velocity"} and unit_vector(text) is None:
             raise ValueError('must be worst, velocity, or three numbers that are not all 0, such as "0 0 1"')
-        stated = {"contact_points": WHOLE_ARM in info.data.get("contact_points", ()) and WHOLE_ARM}
-        stated["payload_shape"] = ", ".join(info.data.get("payload_shape", ()))
-        for name, value in stated.items():
-            if value and text != "worst":
-                raise ValueError(f"must be worst with {name} = {value}: no bound holds for a known one")
+        shapes = info.data.get("payload_shape", ())
+        if text != "worst" and (shapes or WHOLE_ARM in info.data.get("contact_points", ())):
+            whole = f"payload_shape = {', '.join(shapes)}" if shapes else f"contact_points = {WHOLE_ARM}"
+            raise ValueError(f"must be worst with {whole}: no bound holds for a known one")
         return text
 
     @field_validator("contact_friction")

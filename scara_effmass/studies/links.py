@@ -8,7 +8,6 @@ ROBOT is a URDF with meshes, or a DH file with boxes. Configurations and joint v
 """
 
 import argparse
-from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,7 +19,7 @@ from scipy.spatial import ConvexHull
 from scara_effmass.errors import RobotError
 from scara_effmass.input_files import read_yaml
 from scara_effmass.model.dh import DhFile
-from scara_effmass.model.hulls import package_folders
+from scara_effmass.model.hulls import package_folders, shape_points
 from scara_effmass.model.load import load_robot
 from scara_effmass.model.robot import Robot
 from scara_effmass.reference import RobotDynamics
@@ -31,7 +30,6 @@ from scara_effmass.values import FloatArray
 
 POINTS = 2000
 """Random points on each mesh or box of a link, besides its vertices."""
-CORNERS = np.array([*product((-1.0, 1.0), repeat=3)])
 REGIONS = ("hand_fingers", "upper_arm_elbow", "chest")
 """Body regions with a light, a middle and a heavy body part."""
 
@@ -85,7 +83,7 @@ def _box_surfaces(path: Path, rng: np.random.Generator) -> dict[str, tuple[str, 
     for row, link in zip(file.joints, file.links, strict=True):
         pose, points = row.link_in_joint(), []
         for box in link.boxes:
-            corners = box.center + 0.5 * CORNERS * box.size
+            corners = shape_points("box", box.size) + box.center
             points.append(_points_on(corners, ConvexHull(corners).simplices, rng) @ pose.rotation.T + pose.translation)
         if points:
             found[link.name] = row.name, np.vstack(points)
