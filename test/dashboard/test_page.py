@@ -12,7 +12,6 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, closing, contextmanager
 from pathlib import Path
-from urllib.parse import urlsplit
 
 import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
@@ -29,6 +28,9 @@ CARDS = (
     *("Robot", "Speed and allowable speed, last 60 s", "Contact points", "Last impacts"),
     *("Predicted and measured peak force", "Diagnostics", "Episodes"),
 )
+FETCHED_HULLS = """count => new Set(
+  performance.getEntriesByType("resource").map(entry => new URL(entry.name).pathname).filter(path => path.startsWith("/hulls/"))
+).size === count"""
 LOW_CONTRAST = """() => {
   const rgba = text => [...text.matchAll(/[\\d.]+/g)].map(Number);
   const channel = c => (c /= 255) <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4;
@@ -155,7 +157,7 @@ def test_the_page_shows_what_holds_and_never_an_old_ok(monitor: NodeHarness, bro
         expect(page.get_by_role("rowheader", name="effective mass, full")).to_be_visible()
         expect(page.get_by_role("rowheader", name="monitor model")).to_be_visible(timeout=WAIT_MS)
         assert page.locator("canvas").bounding_box()
-        assert {f"/hulls/{number}.stl" for number in range(4)} <= {urlsplit(url).path for url in addresses}
+        page.wait_for_function(FETCHED_HULLS, arg=4, timeout=WAIT_MS)
         hull, missing = (page.request.get(f"http://127.0.0.1:{port}/hulls/{number}.stl") for number in (0, 4))
         assert (hull.status, missing.status) == (200, 404)
         assert len(hull.body()) == 84 + 50 * 12  # a box has twelve triangles
