@@ -108,7 +108,6 @@ class ContactKernel:
             external_force=settings.external_force_limit or math.inf,
             min_alpha=min((alpha / beta for case in cases for alpha, beta in case.lines if beta), default=0.0),
             min_stiffness=min(case.stiffness for case in cases),
-            max_drive_time=max(case.drive_time or 0.0 for case in cases),
             gravity=model.gravity.linear,
         )
 

@@ -7,7 +7,7 @@ import math
 
 from scara_effmass.iso15066.contact import TIME_FACTOR, TRANSIENT_S
 from scara_effmass.kernel.jit import inlined
-from scara_effmass.kernel.mobility import adjugate, along, determinant, inverse, shifted, trace
+from scara_effmass.kernel.mobility import adjugate, along, determinant, inverse, shifted, smallest_eigenvalue, trace
 from scara_effmass.kernel.records import Mobility
 from scara_effmass.kernel.spatial import (
     Matrix,
@@ -119,13 +119,12 @@ def max_growth(change: Mobility, alpha: float) -> float:
     total = dot(vector(change.direction), x)
     if not 0.0 < total < math.inf:
         return math.inf
-    square = 0.0
-    for a in range(3):
-        row = vector_at(change.powers, a)
-        square += dot(row, row)
+    p = change.powers
+    symmetric = p[0, 0], 0.5 * (p[0, 1] + p[1, 0]), 0.5 * (p[0, 2] + p[2, 0]), p[1, 1], 0.5 * (p[1, 2] + p[2, 1]), p[2, 2]
+    loss = max(0.0, -smallest_eigenvalue(symmetric, 3))
     acceleration = max(norm(vector(change.free)), norm(vector(change.held)))
     share = norm(x) / total
-    bound: float = 2.0 * (share * acceleration / change.speed + total * share * share * math.sqrt(square))
+    bound: float = 2.0 * (share * acceleration / change.speed + total * share * share * loss)
     return bound
 
 

@@ -132,7 +132,6 @@ class Setup:
     external_force: float
     min_alpha: float
     min_stiffness: float
-    max_drive_time: float
     gravity: Vector
 
 
@@ -261,9 +260,10 @@ class Work:
     any_normal: Annotated[Any, (3,), Mobility]
     mobilities: Annotated[Any, (MAX_MOBILITIES,), Mobility]
     principals: Annotated[Any, (MAX_MOBILITIES,), Principal]
-    max_masses: Annotated[FloatArray, (MAX_MOBILITIES,)]
+    least_mobilities: Annotated[FloatArray, (MAX_MOBILITIES,)]
+    times: Annotated[FloatArray, (MAX_MOBILITIES,)]
     growths: Annotated[FloatArray, (MAX_MOBILITIES,)]
-    gains: Annotated[FloatArray, (MAX_MOBILITIES,)]
+    accelerations: Annotated[FloatArray, (MAX_MOBILITIES,)]
 
 
 @cache

@@ -11,7 +11,7 @@ from scara_effmass.iso15066.drives import MAX_MOBILITY
 from scara_effmass.kernel.acceleration import acceleration_time, gain, max_rate
 from scara_effmass.kernel.hull import person_ratio, worst_reduced_mass
 from scara_effmass.kernel.jit import inlined
-from scara_effmass.kernel.mobility import point_reduced_mass
+from scara_effmass.kernel.mobility import inverse, point_reduced_mass
 from scara_effmass.kernel.person import (
     Person,
     energy_at,
@@ -22,7 +22,8 @@ from scara_effmass.kernel.person import (
     present_root,
 )
 from scara_effmass.kernel.pose_change import contact_time, growth, max_growth
-from scara_effmass.kernel.records import HULL_NONE, Case, Mobility, Principal, Setup, Work
+from scara_effmass.kernel.records import HULL_KNOWN, HULL_NONE, Case, Mobility, Principal, Setup, Work
+from scara_effmass.reference.hull import TIE
 
 
 class Bound(NamedTuple):
@@ -52,6 +53,13 @@ class Drives(NamedTuple):
 
 
 NO_BOUND = Bound(math.inf, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@inlined
+def is_slower(other: Bound, bound: Bound) -> bool:
+    """Return whether `other` allows less than `bound`; equal ones differ by rounding, and the first one counts."""
+    difference: float = bound.speed - other.speed
+    return difference > TIE * abs(other.speed) or difference == math.inf
 
 
 @inlined
@@ -129,6 +137,27 @@ def free_bound(case: Case, m: Mobility, mass_factor: float, rate: float, least: 
 
 
 @inlined
+def least_mobility(case: Case, m: Mobility, on_robot: float) -> float:
+    """Return 1 / mu [1/kg] of `case` or less, by the least mobility `on_robot`."""
+    least: float = case.lines[0, 0] + case.lines[0, 1] * on_robot
+    if m.hull == HULL_NONE:
+        return least  # every line is a bound
+    for i in range(1, case.line_count):
+        least = min(least, case.lines[i, 0] + case.lines[i, 1] * on_robot)
+    return least / m.speed_ratio
+
+
+@inlined
+def is_no_slower(case: Case, m: Mobility, k: int, rate: float, least: float, work: Work) -> bool:
+    """Return whether `case` allows the speed `least` [m/s] anyway, by what bounds every case with mobility `k`."""
+    if not 0.0 <= least < math.inf:
+        return False
+    time = case.drive_time if case.drive_time > 0.0 else work.times[k]
+    speed = least * (1.0 + work.growths[k] * time * least) + work.accelerations[k] * time
+    return rate * speed * speed <= least_mobility(case, m, work.least_mobilities[k])  # `speed` may be NaN
+
+
+@inlined
 def case_bound(case: Case, m: Mobility, mass_factor: float, rate: float, least: float) -> Bound:
     """Return the bound of the drives of the settings, of simulated contacts within the range of their simulation.
 
@@ -184,26 +213,31 @@ def push_bound(
             if mu * case.stiffness * speed * speed >= rest:
                 return Bound(-math.inf, 0.0, 0.0, force, 0.0, 0.0)
         bound = free_bound(case, m, factor, case.stiffness / rest, least)
-        if k == 0 or bound.speed < slowest.speed:
+        if k == 0 or is_slower(bound, slowest):
             slowest = bound
     return Bound(slowest.speed, slowest.reduced_mass, slowest.growth, force, 0.0, 0.0)
 
 
 @inlined
 def fill_greatest(mobilities: Sequence[Mobility], setup: Setup, work: Work) -> None:
-    """Write the largest reduced mass, growth and gain of each mobility in any case: most cases cannot set the speed."""
+    """Write what bounds every case with each mobility: most cases cannot set the speed.
+
+    1 / mu(s), mu(s) = n^T (s 1 + A)^-1 n, rises by at least 1 per s (Cauchy-Schwarz); on a link, mu is at most that of
+    one mass everywhere with its energy.
+    """
     factor = setup.mass_factor
     alpha = factor * setup.min_alpha
     for k in range(len(mobilities)):
         m = mobilities[k]
-        is_point = m.hull == HULL_NONE
-        work.max_masses[k] = factor * point_reduced_mass(m, alpha, 1.0) if setup.is_free and is_point else math.inf
-        work.growths[k] = 0.0
-        time = setup.max_drive_time
-        time = time if time > 0.0 else contact_time(work.max_masses[k], setup.min_stiffness)
-        work.gains[k] = time * max_rate(m, alpha)
-        if m.change_rank > 0:
-            work.growths[k] = 0.5 * time * max_growth(m, alpha) / m.speed
+        mobility = inverse(point_reduced_mass(m, alpha, 1.0)) - alpha
+        if m.hull == HULL_KNOWN:
+            mobility = m.square * m.speed_ratio / m.energy_of_arm
+        work.least_mobilities[k] = mobility / factor
+        heaviest = m.speed_ratio * inverse(setup.min_alpha + mobility / factor)
+        work.times[k] = contact_time(heaviest, setup.min_stiffness)
+        work.growths[k] = 0.5 * max_growth(m, alpha) / m.speed if m.change_rank > 0 else 0.0
+        # Outside the range of the simulated contacts no case is skipped.
+        work.accelerations[k] = max_rate(m, alpha) if m.matrix_trace <= MAX_MOBILITY * factor else math.inf
 
 
 @inlined
@@ -234,12 +268,9 @@ def governing_case(
         rate = holding_rate(case, drives)
         for k in range(len(mobilities)):
             least = min(slowest.speed, bound.speed)
-            speed = least * (1.0 + work.growths[k] * max(0.0, least)) + work.gains[k]
-            heaviest = min(work.max_masses[k], case.body_mass * mobilities[k].speed_ratio)
-            no_slower = speed <= 0.0 or heaviest * rate * speed * speed <= 1.0
-            if not no_slower or least < 0.0:  # `speed` may be NaN, and bounds no negative one
+            if not is_no_slower(case, mobilities[k], k, rate, least, work):
                 other = case_bound(case, mobilities[k], factor, rate, least)
-                if other.speed < bound.speed:
+                if is_slower(other, bound):
                     bound = other
         if drives.has_push and bound.speed <= slowest.speed:
             other = push_bound(case, mobilities, drives, setup, bound.speed, slowest.speed)
@@ -324,7 +355,7 @@ def person_push_bound(
         rate, line = case.stiffness / rest, (case.obstacle_mobility, 1.0)
         bound = person_line_bound(case, work.principals[k], mobilities[k], setup, line, rate, person, least)
         bound = no_slower_than_at_rest(bound, person)
-        if bound.speed < slowest.speed:
+        if is_slower(bound, slowest):
             slowest = bound
     return Bound(slowest.speed, slowest.reduced_mass, 0.0, force, slowest.root, 0.0)
 
@@ -342,7 +373,7 @@ def governing_person_case(
         for k in range(len(mobilities)):
             least = min(slowest.speed, bound.speed)
             other = person_case_bound(case, work.principals[k], mobilities[k], setup, rate, person, least)
-            if other.speed < bound.speed:
+            if is_slower(other, bound):
                 bound = other
         if drives.has_push and bound.speed <= slowest.speed:
             other = person_push_bound(case, mobilities, drives, setup, work, person, slowest.speed)

@@ -50,7 +50,7 @@ class Hull:
 
     `twist` (6,) is linear, then angular, `mobility` B (6, 6) that of the link in one mass model, both about that place;
     None for a mass that is the same everywhere. `vertex` is that at which the contact counts, which must move.
-    `energy_of_arm` [J] is qd^T M qd.
+    `energy_of_arm` [J] is the least x^T M x of joint velocities x that move the link in this way.
     """
 
     vertices: FloatArray

@@ -136,8 +136,11 @@ class ContactState:
             return None
         if mass_matrix is None:
             return Hull(self.vertices, self.twist, self.vertex)
-        mobility = self.link_jacobian @ np.linalg.solve(mass_matrix, self.link_jacobian.T)
-        energy = float(self.state.qd @ mass_matrix @ self.state.qd)
+        inverse, count = np.linalg.inv(mass_matrix), self.state.dynamics.robot.model.frames[self.point.frame].parentJoint
+        mobility = self.link_jacobian @ inverse @ self.link_jacobian.T
+        qd = self.state.qd[:count]
+        # The joints beyond the link move as it costs no energy.
+        energy = float(qd @ np.linalg.solve(inverse[:count, :count], qd))
         return Hull(self.vertices, self.twist, self.vertex, mobility, energy)
 
     @cached_property

@@ -4,11 +4,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from scara_effmass.iso15066.allowable_speed import ContactCase, SpeedLimit, max_speed
 from scara_effmass.iso15066.drives import Line
+from scara_effmass.reference.hull import TIE
 from scara_effmass.reference.mobility import NO_ACCELERATION, Mobility
 from scara_effmass.reference.person import MovingPerson, person_speed_limit
 
@@ -51,6 +52,16 @@ def _speed(found: SpeedLimit) -> float:
     return found.allowable_speed
 
 
+def _slowest(limits: Iterable[SpeedLimit]) -> SpeedLimit:
+    """Return the limit with the smallest speed; equal ones differ by rounding, and the first one counts."""
+    slowest, *others = limits
+    for limit in others:
+        difference = slowest.allowable_speed - limit.allowable_speed
+        if difference > TIE * abs(limit.allowable_speed) or difference == math.inf:
+            slowest = limit
+    return slowest
+
+
 def _of_case(
     case: ContactCase,
     mobilities: Sequence[Mobility],
@@ -58,7 +69,7 @@ def _of_case(
     max_force: float,
     person: MovingPerson | None,
 ) -> SpeedLimit:
-    found = min((_of_mobility(case, m, case.lines_for(m.trace), max_force, person) for m in mobilities), key=_speed)
+    found = _slowest(_of_mobility(case, m, case.lines_for(m.trace), max_force, person) for m in mobilities)
     return found if push is None else max(found, _pushed(case, mobilities, push, person), key=_speed)
 
 
@@ -100,8 +111,8 @@ def _pushed(
         return SpeedLimit(at_rest if force < math.inf else -math.inf, case.limit, 0.0, case.stiffness, force)
     free = ((case.obstacle_mobility, 1.0),)
     if person is not None:
-        found = min((_of_mobility(case, m, free, math.sqrt(square), person) for m in mobilities), key=_speed)
+        found = _slowest(_of_mobility(case, m, free, math.sqrt(square), person) for m in mobilities)
         return replace(found, push=force)
-    found = min((_of_mobility(case, mobility, free) for mobility in mobilities), key=_speed)
+    found = _slowest(_of_mobility(case, mobility, free) for mobility in mobilities)
     speed = max_speed(math.sqrt(square / (found.reduced_mass * case.stiffness)), found.growth)
     return replace(found, allowable_speed=speed, push=force)

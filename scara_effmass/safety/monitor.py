@@ -45,7 +45,7 @@ from scara_effmass.settings import WHOLE_ARM, MonitorSettings
 from scara_effmass.values import Decision, FloatArray, JointState, Payload, Verdict
 
 CHECK_INTERVAL = 2000
-"""Number of joint states of which one is compared with the reference at each contact; the contacts take turns."""
+"""Number of joint states of which one is compared with the reference, at one contact; the contacts take turns."""
 TRIALS = 24
 """Number of joint states at which kernel and reference are compared when the kernel is compiled."""
 CLOCK_STEPS = 10
@@ -214,7 +214,7 @@ class Monitor:
             self._kernel: ContactKernel | ReferenceChannel = self._reference
         else:
             self._kernel = ContactKernel(self.dynamics, settings)
-        self._until_check = CHECK_INTERVAL // len(self.dynamics.contacts)
+        self._until_check = CHECK_INTERVAL
         self._next_checked = 0
         self._unknown = unknown_numbers(0.0 if robot.masses_reason else robot.iso_mass)
         self._normal = f"{settings.contact_normal} {settings.contact_normal_frame}".strip()
@@ -413,7 +413,7 @@ class Monitor:
 
     def _compare(self, pending: Pending) -> None:
         """Compare the contact whose turn it is with the reference, which works alone from the first difference on."""
-        self._until_check = CHECK_INTERVAL // len(self._points)
+        self._until_check = CHECK_INTERVAL
         if self._why_reference or not pending.records["is_admitted"][0]:
             return
         turn, self._next_checked = self._next_checked, (self._next_checked + 1) % len(self._points)

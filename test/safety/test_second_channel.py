@@ -154,12 +154,12 @@ def test_contacts_are_compared_by_turns(monkeypatch: pytest.MonkeyPatch, wrong: 
     monkeypatch.setattr(monitor_module, "CHECK_INTERVAL", INTERVAL)
     monitor = new_monitor(drives="free", contact_points=POINTS)
     runs = spoil(monkeypatch, "allowable_speed", lambda value: value + 1e-6, contacts=slice(wrong, wrong + 1))
-    for state in motion(monitor, INTERVAL + len(POINTS)):
+    for state in motion(monitor, (wrong + 1) * INTERVAL, steps=1000):
         monitor.assess(state, state.stamp_ns)
         if monitor.kernel_fault:
             break
     assert "allowable_speed" in monitor.kernel_fault
-    assert len(runs) <= (wrong + 1) * INTERVAL // len(POINTS)
+    assert len(runs) <= (wrong + 1) * INTERVAL
 
 
 @pytest.mark.parametrize(
