@@ -281,7 +281,8 @@ def _described(file: DhFile, origin: str, settings: MonitorSettings) -> RobotDes
         pose = file.joints[number - 1].link_in_joint() if number else placement
         points.append((name, number or parent, pose * pin.SE3(np.eye(3), np.array(at))))
     hulls: dict[str, FloatArray] = {}
-    if WHOLE_ARM in settings.contact_points:
+    by_default = not settings.contact_points and settings.contact_normal == "worst" and file.has_boxes
+    if by_default or WHOLE_ARM in settings.contact_points:
         hulls, watched = _hulls(file, origin, settings, [name for name, *_ in points])
         points += watched
     return RobotDescription(

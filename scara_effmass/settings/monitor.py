@@ -140,8 +140,8 @@ class MonitorSettings(FrozenSettings):
     contact_points: tuple[str, ...] = fixed(
         (),
         'points to watch: a link (URDF) or point (DH YAML) by name, or "name=link: x y z", a point in the frame '
-        "of a link [m]; whole_arm: besides, every link with geometry; empty: all points of a DH file, the tip of the "
-        "longest chain of a URDF and whole_arm, if all meshes are found and contact_normal is worst",
+        "of a link [m]; whole_arm: besides, every link with geometry; empty: all points of a DH file or the tip of the "
+        "longest chain of a URDF, and whole_arm, if all meshes are found and contact_normal is worst",
     )
     contact_links: tuple[str, ...] = fixed(
         ("*",), "links that whole_arm watches, by name or glob pattern; name all but those that cannot touch a person"

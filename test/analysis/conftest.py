@@ -46,7 +46,9 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 @pytest.fixture(scope="session")
 def dynamics() -> RobotDynamics:
-    return RobotDynamics(load_robot(share("config", "omron_i4_550l.yaml"), MonitorSettings()))
+    return RobotDynamics(
+        load_robot(share("config", "omron_i4_550l.yaml"), MonitorSettings(contact_points=("tool", "elbow")))
+    )
 
 
 @pytest.fixture(scope="session")

@@ -45,7 +45,7 @@ from test.analysis.faulty_recordings import FAULTS, messages, write
 ROOT = Path(__file__).parents[2]
 BAGS = [path for folder in (ROOT / "bags", ROOT / "test" / "recordings") for path in find_bags(folder)]
 ROBOTS = [*sorted(ROOT.glob("config/robots/*.urdf")), *sorted(ROOT.glob("test/robots/*.urdf"))]
-SCARA = RobotDynamics(load_robot(settings=MonitorSettings()))
+SCARA = RobotDynamics(load_robot(settings=MonitorSettings(contact_points=("tool", "elbow"))))
 
 
 @pytest.fixture(autouse=True, scope="module")

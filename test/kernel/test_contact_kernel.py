@@ -134,8 +134,9 @@ def compare(
     return contacts
 
 
-def with_links(robot: Robot, seed: int) -> Robot:
-    """Return `robot` with every moving link as a contact: a box and a random hull by turns."""
+def with_links(path: Path, settings: MonitorSettings, seed: int) -> Robot:
+    """Return a robot with every moving link as a contact besides its points: a box and a random hull by turns."""
+    robot = load_robot(path, settings.model_copy(update={"contact_links": ()}))
     rng, model, frames, hulls = np.random.default_rng(seed), robot.model.copy(), dict(robot.contact_frames), {}
     for joint in range(1, model.njoints):
         centre, size = rng.normal(0.0, 0.1, 3), rng.uniform(0.02, 0.2, 3)
@@ -189,7 +190,7 @@ def test_kernel_equals_the_reference_for_whole_links(
     """
     other |= {"person_speed": 0.0} if contact["drives"] == "immovable" else {}
     chosen = settings_of(**contact | other | {"contact_normal": "worst"})
-    dynamics = RobotDynamics(with_links(load_robot(robot, chosen), seed))
+    dynamics = RobotDynamics(with_links(robot, chosen, seed))
     compare(dynamics, chosen, seed, LINKS, singular=math.inf if chosen.contact == "quasi_static" else SINGULAR)
 
 
@@ -198,7 +199,7 @@ def test_kernel_equals_the_reference_for_whole_links(
 def test_no_point_of_a_link_allows_less_speed(robot: Path, values: dict[str, Any]) -> None:
     """At the first touch, without what the pose and the acceleration change during the contact."""
     chosen = settings_of(effective_mass_model="full", **values)
-    whole = with_links(load_robot(robot, chosen), 1)
+    whole = with_links(robot, chosen, 1)
     motions = motions_of(RobotDynamics(whole), 1)
     motions[:, 2:] = 0.0
     dynamics = RobotDynamics(whole)
@@ -224,7 +225,7 @@ def test_no_point_of_a_link_allows_less_speed(robot: Path, values: dict[str, Any
 @pytest.mark.parametrize("robot", ROBOTS[:4], ids=lambda path: path.stem)
 @pytest.mark.parametrize("values", [{"drives": "free", "contact": "quasi_static"}, {"person_speed": 0.2}, {}], ids=str)
 def test_each_contact_has_the_limits_of_its_area(robot: Path, values: dict[str, Any]) -> None:
-    whole = with_links(load_robot(robot, settings_of()), 3)
+    whole = with_links(robot, settings_of(), 3)
     names, dynamics = [*whole.contact_frames], RobotDynamics(whole)
     sizes = (1e-5, 1e-3, 5e-5)
     chosen = settings_of(**values, contact_areas=[f"{names[0]}={sizes[0]}", f"{names[1]}={sizes[1]}", f"*={sizes[2]}"])

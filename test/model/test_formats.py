@@ -200,8 +200,9 @@ def test_tool_links_that_match_nothing_raise(omron_file: Path) -> None:
 
 
 class TestElbow:
-    def test_shipped_robot_watches_tool_and_elbow(self, omron_file: Path) -> None:
-        assert RobotDynamics(load_robot(omron_file)).contact_points == ("tool", "elbow")
+    def test_shipped_robot_watches_tool_elbow_and_links(self, omron_file: Path) -> None:
+        links = "link1", "link2", "link3", "link4"
+        assert RobotDynamics(load_robot(omron_file)).contact_points == ("tool", "elbow", *links)
 
     @given(q1=st.floats(-2.3, 2.3), q2=st.floats(-2.5, 2.5), rate=st.floats(0.1, 3.0))
     def test_mass_is_the_closed_form_of_the_planar_mechanism(
@@ -212,7 +213,7 @@ class TestElbow:
         dynamics = RobotDynamics(robot)
         assert dynamics.lumped is not None
         m2, m3 = dynamics.lumped.planar_masses(robot)
-        _, elbow = dynamics.at(np.array([q1, q2, 0.1, 0.0]), np.array([rate, -0.7, 0.1, 0.2])).contacts
+        elbow = dynamics.at(np.array([q1, q2, 0.1, 0.0]), np.array([rate, -0.7, 0.1, 0.2])).contacts[1]
         assert elbow.speed == pytest.approx(0.275 * rate, rel=1e-12)
         assert elbow.lumped == pytest.approx(m2 + m3 * np.sin(q2) ** 2, rel=1e-9)
         assert elbow.effective_mass(ModelCode.LUMPED, None) == pytest.approx(elbow.lumped, rel=1e-6)

@@ -23,7 +23,7 @@ def variant(directory: Path, change: Callable[[dict[str, Any]], object]) -> Robo
     change(file)
     path = directory / "robot.yaml"
     path.write_text(yaml.safe_dump(file, sort_keys=False), encoding="utf-8")
-    return RobotDynamics(load_robot(path, MonitorSettings()))
+    return RobotDynamics(load_robot(path, MonitorSettings(contact_points=tuple(file["contact_points"]))))
 
 
 @pytest.fixture

@@ -26,7 +26,9 @@ STIFFNESS = 1e6
 
 @pytest.fixture(scope="session")
 def dynamics() -> RobotDynamics:
-    return RobotDynamics(load_robot(share("config", "omron_i4_550l.yaml"), MonitorSettings()))
+    return RobotDynamics(
+        load_robot(share("config", "omron_i4_550l.yaml"), MonitorSettings(contact_points=("tool", "elbow")))
+    )
 
 
 @pytest.fixture(scope="session")
