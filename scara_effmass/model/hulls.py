@@ -239,8 +239,8 @@ class _PlaneSearch:
         failures = 0
         while failures < len(planes):
             total, others, trial = self._completed(planes[1:])
-            is_smaller = (len(trial), len(others)) < (len(vertices), len(planes))
-            if total < (1.0 - _MIN_GAIN) * best or (total <= best and is_smaller):
+            is_less = len(trial) < len(vertices) or (total == 0.0 and len(others) < len(planes))
+            if total < (1.0 - _MIN_GAIN) * best or (total <= best and is_less):
                 best, planes, vertices, failures = total, others, trial, 0
             else:
                 planes, failures = [*planes[1:], planes[0]], failures + 1
