@@ -2,6 +2,7 @@
 """Random impacts begin at the allowed speed, whatever was simulated before; their table can be resumed and reported."""
 
 import json
+import math
 from collections.abc import Callable, Sequence
 from itertools import product
 from pathlib import Path
@@ -14,6 +15,7 @@ from scara_effmass.iso15066 import limits_for
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings, ServoSettings
 from scara_effmass.sim.recordings import EPOCH_NS
+from scara_effmass.studies import evidence
 from scara_effmass.studies.bounds import CREEP_MPS, RANDOM_ARM, ROBOTS, TINY, arm_of, whole_arm_of
 from scara_effmass.studies.evidence import (
     FREE,
@@ -206,11 +208,24 @@ def test_robots_plates_drives_and_places_take_turns() -> None:
     assert found == [*cases, (WORST, True, RANDOM)]
 
 
-def test_worst_normal_and_place_give_a_larger_force_than_random_ones() -> None:
-    def median(first: int) -> float:
-        return float(np.median([row["ratio"] for index in range(first, first + 5) for row in simulate(SEED, index)]))
-
-    assert median(0) > max(median(5), median(20))
+def test_worst_normal_and_place_give_a_larger_force_than_random_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same motions, at the same speed, with another plate or at another place of the link."""
+    rng, others = np.random.default_rng(SEED), ([], [])
+    for index in range(5):
+        impact = draw_impact(SEED, index)
+        assert (impact.plate, impact.place) == (WORST, WORST)
+        normals, places = {}, {}
+        for name, start in impact.starts.items():
+            normal = rng.normal(size=3)
+            normal *= math.copysign(1.0, normal @ start.normal) / np.linalg.norm(normal)
+            normals[name], places[name] = start._replace(normal=normal), start._replace(position=impact.position)
+        worst = [row["ratio"] for row in simulate(SEED, index)]
+        for starts, ratios in zip((normals, places), others, strict=True):
+            monkeypatch.setattr(evidence, "draw_impact", lambda *_, other=impact._replace(starts=starts): other)
+            ratios += [row["ratio"] / ratio for row, ratio in zip(simulate(SEED, index), worst, strict=True)]
+            monkeypatch.undo()
+    for ratios in others:
+        assert np.median(ratios) < 0.95
 
 
 SATURATED = {
