@@ -8,6 +8,7 @@ import io
 import tempfile
 import time
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -24,18 +25,23 @@ ROUNDS = 3
 COUNT = 600_000
 """Ten minutes at 1 kHz."""
 TOPIC = "/joint_states"
-ROBOTS = {"SCARA, 2 contact points": "", "UR10, six axes": "ur10_robot.urdf", "Panda, seven axes": "panda.urdf"}
-GOALS = {"": 5.0, "ur10_robot.urdf": 5.5, "panda.urdf": 6.0}
-"""Smallest rate over that of rosbags."""
+POINTS = ("tool", "elbow")
+ROBOTS: dict[str, tuple[str, tuple[str, ...], float]] = {
+    "SCARA, 2 contact points": ("", POINTS, 5.0),
+    "SCARA, 2 contact points and 4 links": ("", (), 1.0),
+    "UR10, six axes": ("ur10_robot.urdf", (), 5.5),
+    "Panda, seven axes": ("panda.urdf", (), 6.0),
+}
+"""Robot file, contact points, and the smallest rate over that of rosbags."""
 
 
-def measure(robot: str) -> tuple[float, float]:
+def measure(robot: str, points: tuple[str, ...]) -> tuple[float, float]:
     """Return the median rates [joint states/s] of `assess` and of rosbags, timed in turn on one zstd MCAP.
 
-    `robot` is a file in config/robots, empty for the shipped SCARA.
+    `robot` is a file in config/robots, empty for the shipped SCARA, `points` are its contact points, empty: all.
     """
     path = str(share("config", "robots", robot)) if robot else ""
-    options = ["--robot", path] if robot else []
+    options = [*(["--robot", path] if robot else []), *chain(*(("--contact-point", point) for point in points))]
     ours, theirs = [], []
     with tempfile.TemporaryDirectory() as folder:
         bag = Path(folder) / "bag"

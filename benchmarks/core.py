@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 CYCLES_PER_BLOCK = 500
 BLOCKS = 60
-CONTACT_POINTS = {1: 1.0, 4: 1.5, 16: 3.0, 64: 10.0}
-"""Numbers of contact points, and the largest time of a cycle with them over that with one."""
+CONTACTS = {1: 1.0, 4: 1.5, 16: 3.0, 64: 10.0, 0: 2.0}
+"""Numbers of contact points, 0 for the whole arm, and the largest time of a cycle with them over that with one."""
 
 
 def new_monitor(robot: Robot, settings: MonitorSettings) -> Monitor:
@@ -108,12 +108,11 @@ def _beside_pinocchio(robot: Robot, settings: MonitorSettings, states: list[Join
 def measure_contact_points() -> dict[int, float]:
     """Return the median CPU time per cycle [us] by the number of contact points, timed in turn."""
     states, monitors = smooth_motion(), {}
-    for count in CONTACT_POINTS:
-        settings = MonitorSettings(
-            contact_points=("tool", *(f"p{i}=link2: {0.2 * i / count} 0 0" for i in range(1, count)))
-        )
+    for count in CONTACTS:
+        points = "tool", *(f"p{i}=link2: {0.2 * i / count} 0 0" for i in range(1, count))
+        settings = MonitorSettings(contact_points=points if count else ())
         monitors[count] = new_monitor(load_robot(settings=settings), settings)
-    times: dict[int, list[float]] = {count: [] for count in CONTACT_POINTS}
+    times: dict[int, list[float]] = {count: [] for count in CONTACTS}
     for block in range(BLOCKS):
         chunk = states[block * CYCLES_PER_BLOCK : (block + 1) * CYCLES_PER_BLOCK]
         for count, monitor in monitors.items():

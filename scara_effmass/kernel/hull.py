@@ -202,7 +202,7 @@ def fastest_square(point: Point, work: Work) -> float:
 
 
 @inlined
-def fill_energies(k: int, joint: int, setup: Setup, work: Work) -> None:
+def fill_energies(k: int, joint: int, work: Work) -> None:
     """Write twice the least kinetic energy with which the link moves as it does in model `k`, free and held joints."""
     free = held = 0.0
     for i in range(joint + 1):
@@ -227,7 +227,7 @@ def place_on_link(point: Point, setup: Setup, work: Work) -> int:
     for k in range(1, -1, -1):
         if setup.has_full if k == Model.FULL else setup.has_lumped:
             fill_twist_mobility(k, point.joint, setup, work)
-            fill_energies(k, point.joint, setup, work)
+            fill_energies(k, point.joint, work)
             first = k if first < 0 else first
             if setup.joints_are_held:
                 fill_held_twist_mobility(k, point.joint, setup, work)

@@ -120,7 +120,14 @@ def max_growth(change: Mobility, alpha: float) -> float:
     if not 0.0 < total < math.inf:
         return math.inf
     p = change.powers
-    symmetric = p[0, 0], 0.5 * (p[0, 1] + p[1, 0]), 0.5 * (p[0, 2] + p[2, 0]), p[1, 1], 0.5 * (p[1, 2] + p[2, 1]), p[2, 2]
+    symmetric = (
+        p[0, 0],
+        0.5 * (p[0, 1] + p[1, 0]),
+        0.5 * (p[0, 2] + p[2, 0]),
+        p[1, 1],
+        0.5 * (p[1, 2] + p[2, 1]),
+        p[2, 2],
+    )
     loss = max(0.0, -smallest_eigenvalue(symmetric, 3))
     acceleration = max(norm(vector(change.free)), norm(vector(change.held)))
     share = norm(x) / total

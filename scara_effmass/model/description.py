@@ -11,6 +11,7 @@ import reprlib
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
 from functools import cached_property
 from typing import NamedTuple
 
@@ -30,6 +31,8 @@ MAX_ANGLE_RAD = 7.0
 _ARMATURE_RULE = "must be joint=value (0 or more), joint1,joint2=value"
 CONTINUOUS_LIMIT = 1e6
 """Limit [rad] of a continuous joint read as revolute, for which Pinocchio uses one coordinate, as joint_states do."""
+LEFT_OUT = "links that contact_links leaves out: "
+"""Start of the note on them."""
 _MAX_NUMBER = 1e6
 """Largest magnitude of a length, mass or inertia [SI]; beyond it the dynamics overflow."""
 _MAX_ROTOR_INERTIA = 1e6
@@ -110,6 +113,19 @@ class RobotDescription:
     held: tuple[HeldJoint, ...] = ()
     tool_tip: str = ""
     hulls: Mapping[str, FloatArray] = field(default_factory=dict)
+
+
+def watched_links(links: Sequence[str], globs: Sequence[str], origin: str) -> tuple[list[str], list[str]]:
+    """Return those of `links` with geometry that match `globs`, and a note on the others.
+
+    Raises RobotError for a pattern without a link.
+    """
+    for glob in globs:
+        if not any(fnmatchcase(link, glob) for link in links):
+            raise RobotError(f"{origin}: contact_links = {glob!r}: must match a link with geometry: {', '.join(links)}")
+    watched = [link for link in links if any(fnmatchcase(link, glob) for glob in globs)]
+    left_out = [link for link in links if link not in watched]
+    return watched, [f"{LEFT_OUT}{', '.join(left_out)}"] if left_out else []
 
 
 class ContactPoint(NamedTuple):

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 import reprlib
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from fnmatch import fnmatchcase
+from itertools import count
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -27,6 +27,7 @@ from scara_effmass.model.description import (
     inertia_tensor,
     principal_moments,
     rotor_inertia,
+    watched_links,
 )
 from scara_effmass.settings import WHOLE_ARM, MonitorSettings
 from scara_effmass.settings.loading import FrozenSettings, broken_rule, nearest
@@ -281,9 +282,10 @@ def _described(file: DhFile, origin: str, settings: MonitorSettings) -> RobotDes
         pose = file.joints[number - 1].link_in_joint() if number else placement
         points.append((name, number or parent, pose * pin.SE3(np.eye(3), np.array(at))))
     hulls: dict[str, FloatArray] = {}
+    notes: list[str] = []
     by_default = not settings.contact_points and settings.contact_normal == "worst" and file.has_boxes
     if by_default or WHOLE_ARM in settings.contact_points:
-        hulls, watched = _hulls(file, origin, settings, [name for name, *_ in points])
+        hulls, watched, notes = _hulls(file, origin, settings, [name for name, *_ in points])
         points += watched
     return RobotDescription(
         origin=origin,
@@ -294,7 +296,7 @@ def _described(file: DhFile, origin: str, settings: MonitorSettings) -> RobotDes
         payload_mass=file.payload.mass,
         contact_points=points,
         tip=placement,
-        notes=(),
+        notes=notes,
         stated=frozenset(_stated(file)),
         hulls=hulls,
     )
@@ -302,26 +304,26 @@ def _described(file: DhFile, origin: str, settings: MonitorSettings) -> RobotDes
 
 def _hulls(
     file: DhFile, origin: str, settings: MonitorSettings, taken: Collection[str]
-) -> tuple[dict[str, FloatArray], list[tuple[str, int, pin.SE3]]]:
-    """Return the hulls of the links that `whole_arm` watches, and these as contact points. Raises RobotError."""
+) -> tuple[dict[str, FloatArray], list[tuple[str, int, pin.SE3]], list[str]]:
+    """Return the hulls of the links that `whole_arm` watches, these as contact points, and notes. Raises RobotError."""
     from scara_effmass.model.hulls import shape_points, stated_hull  # noqa: PLC0415 - scipy.spatial takes long to import
 
     hulls, points = dict[str, FloatArray](), list[tuple[str, int, pin.SE3]]()
     if not file.has_boxes:
         raise RobotError(f"{origin}: contact_points = {WHOLE_ARM!r}: no link has boxes: state them, or name points")
-    bodies = [
-        (link, joint, row.link_in_joint())
-        for joint, (row, link) in enumerate(zip(file.joints, file.links, strict=True), 1)
-    ]
-    for link, joint, pose in [*bodies, (file.payload, len(file.joints), file.joints[-1].next_in_joint())]:
-        if not link.boxes or not any(fnmatchcase(link.name, glob) for glob in settings.contact_links):
+    links = zip(file.links, count(1), (row.link_in_joint() for row in file.joints), strict=False)
+    bodies = [*links, (file.payload, len(file.joints), file.joints[-1].next_in_joint())]
+    shaped = [body for body in bodies if body[0].boxes]
+    chosen, notes = watched_links([link.name for link, *_ in shaped], settings.contact_links, origin)
+    for link, joint, pose in shaped:
+        if link.name not in chosen:
             continue
         if link.name in taken:
             raise RobotError(f"{origin}: contact_points.{link.name}: must have another name than the link")
         corners = np.concatenate([shape_points("box", box.size) + box.center for box in link.boxes])
         hulls[link.name] = stated_hull(link.name, joint, corners @ pose.rotation.T + pose.translation).vertices
         points.append((link.name, joint, pose))
-    return hulls, points
+    return hulls, points, notes
 
 
 def _stated(file: DhFile) -> Iterator[Assumption]:

@@ -20,6 +20,7 @@ from scara_effmass.errors import RobotError
 from scara_effmass.input_files import read_text
 from scara_effmass.model.description import (
     CONTINUOUS_LIMIT,
+    LEFT_OUT,
     MAX_ANGLE_RAD,
     ContactPoint,
     HeldJoint,
@@ -31,6 +32,7 @@ from scara_effmass.model.description import (
     numbers_of,
     principal_moments,
     rotor_inertia,
+    watched_links,
 )
 from scara_effmass.settings import WHOLE_ARM, MonitorSettings
 from scara_effmass.values import FloatArray
@@ -42,7 +44,7 @@ CHAIN_NOTES = (
     "held fixed in the model: ",
     "the arm ends at its gripper",
     "links as a whole, ",
-    "links that contact_links leaves out: ",
+    LEFT_OUT,
     "by their visual geometry",
     "no link has geometry",
 )
@@ -158,21 +160,21 @@ def _hulls(
             raise
         return {}, [f"only the tip is watched, not whole_arm: {str(error).removeprefix(f'{tree.origin}: ')}"]
     points = {name: (joint, pose) for name, joint, pose in placed}
-    hulls, left_out = dict[str, FloatArray](), list[str]()
+    if not found:
+        return {}, ["no link has geometry: only the contact points are watched"]
+    hulls = dict[str, FloatArray]()
+    watched, left_out = watched_links([hull.link for hull in found], settings.contact_links, tree.origin)
     for hull in found:
-        if not any(fnmatchcase(hull.link, glob) for glob in settings.contact_links):
-            left_out.append(hull.link)
-        elif hull.link in points:
+        if hull.link not in watched:
+            continue
+        if hull.link in points:
             hulls[hull.link] = outer_vertices(np.vstack([hull.vertices, points[hull.link][1].translation]))
         else:
             placed.append((hull.link, hull.joint, frames[hull.link].placement))
             hulls[hull.link] = hull.vertices
-    if not found:
-        return hulls, ["no link has geometry: only the contact points are watched"]
     shapes = ", ".join(f"{hull.link} {hull.looseness:.2f}" for hull in found if hull.link in hulls)
     notes = [f"links as a whole, by polytopes with a volume over that of their convex hull of: {shapes}"]
-    if left_out:
-        notes.append(f"links that contact_links leaves out: {', '.join(left_out)}")
+    notes += left_out
     if visual := [hull.link for hull in found if hull.source == "visual" and hull.link in hulls]:
         notes.append(f"by their visual geometry, without another: {', '.join(visual)}")
     return hulls, notes

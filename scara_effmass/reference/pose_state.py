@@ -136,7 +136,10 @@ class ContactState:
             return None
         if mass_matrix is None:
             return Hull(self.vertices, self.twist, self.vertex)
-        inverse, count = np.linalg.inv(mass_matrix), self.state.dynamics.robot.model.frames[self.point.frame].parentJoint
+        inverse, count = (
+            np.linalg.inv(mass_matrix),
+            self.state.dynamics.robot.model.frames[self.point.frame].parentJoint,
+        )
         mobility = self.link_jacobian @ inverse @ self.link_jacobian.T
         qd = self.state.qd[:count]
         # The joints beyond the link move as it costs no energy.

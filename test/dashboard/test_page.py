@@ -29,7 +29,8 @@ CARDS = (
     *("Predicted and measured peak force", "Diagnostics", "Episodes"),
 )
 FETCHED_HULLS = """count => new Set(
-  performance.getEntriesByType("resource").map(entry => new URL(entry.name).pathname).filter(path => path.startsWith("/hulls/"))
+  performance.getEntriesByType("resource").map(entry => new URL(entry.name).pathname)
+    .filter(path => path.startsWith("/hulls/"))
 ).size === count"""
 LOW_CONTRAST = """() => {
   const rgba = text => [...text.matchAll(/[\\d.]+/g)].map(Number);

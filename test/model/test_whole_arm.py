@@ -57,8 +57,17 @@ def test_every_link_with_geometry_is_a_contact(arm: Path) -> None:
 
 
 def test_contact_links_choose_among_the_boxes_of_a_dh_file() -> None:
-    robot = load_robot(settings=MonitorSettings(contact_points=("whole_arm",), contact_links=("link[24]", "tool")))
+    robot = load_robot(settings=MonitorSettings(contact_links=("link[24]",)))
     assert {*robot.hulls} == {"link2", "link4"}
+    assert "links that contact_links leaves out: link1, link3" in robot.notes
+
+
+@pytest.mark.parametrize("is_urdf", [False, True])
+def test_contact_links_without_a_link_are_refused(arm: Path, is_urdf: bool) -> None:  # noqa: FBT001
+    links = "upper_arm, forearm, camera" if is_urdf else "link1, link2, link3, link4"
+    rule = f"contact_links = 'elbow*': must match a link with geometry: {links}"
+    with pytest.raises(RobotError, match=re.escape(rule)):
+        load_robot(arm if is_urdf else None, MonitorSettings(contact_links=("*", "elbow*")))
 
 
 def test_a_urdf_is_watched_as_a_whole_unless_points_or_a_normal_are_stated(arm: Path) -> None:

@@ -221,7 +221,8 @@ def test_worst_normal_and_place_give_a_larger_force_than_random_ones(monkeypatch
             normals[name], places[name] = start._replace(normal=normal), start._replace(position=impact.position)
         worst = [row["ratio"] for row in simulate(SEED, index)]
         for starts, ratios in zip((normals, places), others, strict=True):
-            monkeypatch.setattr(evidence, "draw_impact", lambda *_, other=impact._replace(starts=starts): other)
+            changed = impact._replace(starts=starts)
+            monkeypatch.setattr(evidence, "draw_impact", lambda *_, changed=changed: changed)
             ratios += [row["ratio"] / ratio for row, ratio in zip(simulate(SEED, index), worst, strict=True)]
             monkeypatch.undo()
     for ratios in others:
