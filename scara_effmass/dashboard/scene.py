@@ -6,6 +6,7 @@ from nicegui import ui
 from nicegui.elements.scene.scene_object3d import Object3D
 
 from scara_effmass.cell.status import CellStatus
+from scara_effmass.model.hulls import triangles
 from scara_effmass.model.poses import mass_ellipsoid, pose_geometry, rotation_to
 from scara_effmass.model.robot import Robot
 from scara_effmass.reference import RobotDynamics
@@ -37,7 +38,6 @@ def stl_of(robot: Robot) -> list[bytes]:
     """Return each hull of a link in the frame of its joint, as STL, in the order of the contacts."""
     if not robot.hulls:
         return []
-    from scara_effmass.model.hulls import triangles  # noqa: PLC0415 - scipy.spatial takes long to import
 
     files = []
     for name in (name for name in robot.contact_frames if name in robot.hulls):

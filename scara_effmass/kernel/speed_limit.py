@@ -154,7 +154,9 @@ def is_no_slower(case: Case, m: Mobility, k: int, rate: float, least: float, wor
         return False
     time = case.drive_time if case.drive_time > 0.0 else work.times[k]
     speed = least * (1.0 + work.growths[k] * time * least) + work.accelerations[k] * time
-    return rate * speed * speed <= least_mobility(case, m, work.least_mobilities[k])  # `speed` may be NaN
+    # `speed` may be NaN.
+    allows: bool = rate * speed * speed <= least_mobility(case, m, work.least_mobilities[k])
+    return allows
 
 
 @inlined

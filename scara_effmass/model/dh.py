@@ -29,6 +29,7 @@ from scara_effmass.model.description import (
     rotor_inertia,
     watched_links,
 )
+from scara_effmass.model.hulls import shape_points, stated_hull
 from scara_effmass.settings import WHOLE_ARM, MonitorSettings
 from scara_effmass.settings.loading import FrozenSettings, broken_rule, nearest
 from scara_effmass.values import FloatArray
@@ -306,8 +307,6 @@ def _hulls(
     file: DhFile, origin: str, settings: MonitorSettings, taken: Collection[str]
 ) -> tuple[dict[str, FloatArray], list[tuple[str, int, pin.SE3]], list[str]]:
     """Return the hulls of the links that `whole_arm` watches, these as contact points, and notes. Raises RobotError."""
-    from scara_effmass.model.hulls import shape_points, stated_hull  # noqa: PLC0415 - scipy.spatial takes long to import
-
     hulls, points = dict[str, FloatArray](), list[tuple[str, int, pin.SE3]]()
     if not file.has_boxes:
         raise RobotError(f"{origin}: contact_points = {WHOLE_ARM!r}: no link has boxes: state them, or name points")

@@ -2,8 +2,10 @@
 """Enclose the geometry of each moving link of a URDF in a convex polytope of few vertices.
 
 The polytope contains the geometry: a quantity that is convex over the link, such as the speed of its points, is largest
-at a vertex, and no point of the link exceeds it. This module loads scipy: import it only when it is needed.
+at a vertex, and no point of the link exceeds it. scipy takes long to import: few points, such as boxes, do without.
 """
+
+from __future__ import annotations
 
 import math
 import os
@@ -12,16 +14,18 @@ import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from itertools import chain
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
 
 from scara_effmass.errors import RobotError
 from scara_effmass.model.description import numbers_of
 from scara_effmass.values import MAX_VERTICES, BoolArray, FloatArray
+
+if TYPE_CHECKING:
+    from scipy.spatial import ConvexHull
 
 MIN_THICKNESS_M = 1e-4
 """Extent [m] below which points are flat; each is then replaced by a cube with twice this edge."""
@@ -84,9 +88,11 @@ def urdf_hulls(
 
 def stated_hull(link: str, joint: int, points: FloatArray) -> LinkHull:
     """Return the polytope around stated `points` (N, 3) [m] of `link`, in the frame of the joint of index `joint`."""
+    if len(points) <= MAX_VERTICES and not _are_flat(points):
+        return LinkHull(link, joint, points, 1.0, "stated")
     hull = _convex_hull(points)
     vertices = _outer_vertices(hull)
-    return LinkHull(link, joint, vertices, max(1.0, ConvexHull(vertices).volume / hull.volume), "stated")
+    return LinkHull(link, joint, vertices, max(1.0, _hull_of(vertices).volume / hull.volume), "stated")
 
 
 def shape_points(kind: str, sizes: Sequence[float]) -> FloatArray:
@@ -122,7 +128,7 @@ def outer_vertices(points: FloatArray) -> FloatArray:
 
 def triangles(vertices: FloatArray) -> FloatArray:
     """Return the surface of the polytope around `vertices` (V, 3) as triangles (T, 3, 3), counterclockwise."""
-    hull = ConvexHull(vertices)
+    hull = _hull_of(vertices)
     corners: FloatArray = vertices[hull.simplices]
     a, b, c = np.moveaxis(corners, 1, 0)
     is_inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0.0
@@ -186,11 +192,21 @@ def _mesh_points(shape: ET.Element, where: str, package_dirs: Sequence[Path]) ->
     return points
 
 
+def _hull_of(points: FloatArray) -> ConvexHull:
+    from scipy.spatial import ConvexHull  # noqa: PLC0415 - takes long
+
+    return ConvexHull(points)
+
+
+def _are_flat(points: FloatArray) -> bool:
+    return bool(np.ptp(points @ _principal_axes(points), axis=0).min() < MIN_THICKNESS_M)
+
+
 def _convex_hull(points: FloatArray) -> ConvexHull:
     """Return the convex hull of `points` (N, 3), thickened where they are flat."""
-    if np.ptp(points @ _principal_axes(points), axis=0).min() < MIN_THICKNESS_M:
+    if _are_flat(points):
         points = (points[:, None] + MIN_THICKNESS_M * _CORNERS).reshape(-1, 3)
-    return ConvexHull(points)
+    return _hull_of(points)
 
 
 def _principal_axes(points: FloatArray) -> FloatArray:
@@ -205,7 +221,7 @@ def _outer_vertices(hull: ConvexHull) -> FloatArray:
     centre, size = corners.mean(axis=0), np.ptp(corners, axis=0).max()
     vertices = centre + size * _PlaneSearch((corners - centre) / size, _normals(hull)).vertices()
     # No point must be outside, whatever the rounding.
-    planes = ConvexHull(vertices).equations
+    planes = _hull_of(vertices).equations
     ratios = (corners - centre) @ planes[:, :3].T / -(planes[:, :3] @ centre + planes[:, 3])
     enlarged: FloatArray = centre + max(1.0, ratios.max()) * (vertices - centre)
     return enlarged

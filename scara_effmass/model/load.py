@@ -15,6 +15,7 @@ import pinocchio as pin
 from scara_effmass.errors import RobotError
 from scara_effmass.model.description import RobotDescription, StatedLink, inertia_tensor
 from scara_effmass.model.dh import load_dh
+from scara_effmass.model.hulls import shape_points, stated_hull
 from scara_effmass.model.light_ends import hold_light_end
 from scara_effmass.model.plausibility import InertialCheck, check_inertials, judge, triangle_error
 from scara_effmass.model.robot import Robot
@@ -179,8 +180,6 @@ def _with_payload_shape(stated: RobotDescription, settings: MonitorSettings) -> 
         return stated
     if any(name == PAYLOAD_CONTACT for name, *_ in stated.contact_points):
         raise RobotError(f"{stated.origin}: payload_shape: another contact has the name {PAYLOAD_CONTACT}: rename it")
-    from scara_effmass.model.hulls import shape_points, stated_hull  # noqa: PLC0415 - scipy.spatial takes long to import
-
     _, joint, pose = _payload_frame(stated)
     points = np.concatenate([shape_points(shape.kind, shape.sizes) + shape.centre for shape in shapes])
     hull = stated_hull(PAYLOAD_CONTACT, joint, points @ pose.rotation.T + pose.translation)

@@ -34,6 +34,7 @@ from scara_effmass.model.description import (
     rotor_inertia,
     watched_links,
 )
+from scara_effmass.model.hulls import outer_vertices, package_folders, urdf_hulls
 from scara_effmass.settings import WHOLE_ARM, MonitorSettings
 from scara_effmass.values import FloatArray
 
@@ -148,9 +149,6 @@ def _hulls(
     """
     if WHOLE_ARM not in (settings.contact_points or (WHOLE_ARM,)) or settings.contact_normal != "worst":
         return {}, []
-    # scipy.spatial takes long to import.
-    from scara_effmass.model.hulls import outer_vertices, package_folders, urdf_hulls  # noqa: PLC0415
-
     path = Path(tree.origin)
     folders = package_folders(path if path.is_file() else None, [Path(folder) for folder in settings.package_dirs])
     try:

@@ -16,6 +16,7 @@ from scara_effmass import values
 from scara_effmass.cell.status import CellStatus
 from scara_effmass.codes import Reason
 from scara_effmass.errors import DecodeError
+from scara_effmass.model.hulls import triangles
 from scara_effmass.model.poses import pose_geometry
 from scara_effmass.model.robot import Robot
 from scara_effmass.nodes import parameters
@@ -95,8 +96,6 @@ class VisualizationNode(LifecycleBase):
         self._adapter = JointStateAdapter(robot.joint_names, self._settings)
         self._dynamics, self._triangles = RobotDynamics(robot), {}
         if robot.hulls:
-            from scara_effmass.model.hulls import triangles  # noqa: PLC0415 - scipy.spatial takes long to import
-
             self._triangles = {name: triangles(vertices) for name, vertices in robot.hulls.items()}
 
     def _refuse_robot(self, reason: str) -> None:

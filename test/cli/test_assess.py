@@ -162,7 +162,7 @@ def test_direction_adds_the_mass_along_it(swing_bag: Path, cli: Cli, tmp_path: P
     rows = parquet.read_table(out).to_pylist()
     assert_equal(rows, core_decisions(swing_bag, settings))
     assert len({row["test_direction_x"] for row in rows}) > 100
-    assert min(row["test_effective_mass_kg"] for row in rows if row["verdict"] != "UNKNOWN") > 0.9
+    assert min(row["test_effective_mass_kg"] for row in rows if row["verdict"] != "UNKNOWN") > 0.3
 
 
 def test_options_of_the_cell_apply(swing_bag: Path, cli: Cli, tmp_path: Path) -> None:
@@ -208,10 +208,10 @@ def test_recorded_payload_counts_from_its_log_time_on(swing_bag: Path, cli: Cli,
     (tmp_path / "cell.yaml").write_text("/**:\n  ros__parameters:\n    release_time: 0.0\n", encoding="utf-8")
     assert cli(*words, "-o", tmp_path / "a.parquet").returncode == 0
     rows = parquet.read_table(tmp_path / "a.parquet").to_pylist()
-    assert {row["reason"] for row in rows[:1000]} == {"no payload on payload yet"}
-    assert {(row["verdict"], row["allowable_speed_m_s"]) for row in rows[:1000]} == {("UNKNOWN", 0.0)}
+    assert {row["reason"] for row in rows[:3000]} == {"no payload on payload yet"}
+    assert {(row["verdict"], row["allowable_speed_m_s"]) for row in rows[:3000]} == {("UNKNOWN", 0.0)}
     settings = MonitorSettings(payload_mass=2.0, payload_com=(0.0, 0.0, 0.1), release_time=0.0)
-    assert_equal([{**row, "bag": ""} for row in rows[1000:]], core_decisions(swing_bag, settings)[500:])
+    assert_equal([{**row, "bag": ""} for row in rows[3000:]], core_decisions(swing_bag, settings)[500:])
 
 
 EMPTY_HAND = """
@@ -349,8 +349,8 @@ def test_undecodable_joint_state_gives_unknown_and_the_run_continues(swing_bag: 
     result = json.loads(done.stdout)
     assert result["joint_states"] == 1000
     rows = parquet.read_table(tmp_path / "a.parquet").to_pylist()
-    assert {row["contact_point"] for row in rows[1::2]} == {"elbow"}
-    rows = rows[::2]
+    rows = [row for row in rows if row["contact_point"] == "tool"]
+    assert len(rows) == 1000
     assert rows[500]["verdict"] == "UNKNOWN"
     assert rows[500]["stamp_ns"] == rows[500]["log_time_ns"]
     assert rows[500]["reason"].startswith("JointState: ")
@@ -366,12 +366,13 @@ def test_only_unknown_is_no_success_and_says_the_remedy(swing_bag: Path, cli: Cl
     file["contact_points"] = {"rim": [0.05, 0.0, 0.0]}
     robot = tmp_path / "robot.yaml"
     robot.write_text(yaml.safe_dump(file), encoding="utf-8")
-    done = cli("assess", swing_bag, "-o", "lumped.csv", "--robot", robot, "--model", "lumped")
+    words = ("--robot", robot, "--contact-point", "rim")
+    done = cli("assess", swing_bag, "-o", "lumped.csv", *words, "--model", "lumped")
     assert done.returncode == 1
     assert "no verdict" in done.stdout
     assert "choose effective_mass_model auto" in done.stdout
     assert (tmp_path / "lumped.csv").is_file()
-    done = cli("assess", swing_bag, "-o", "auto.csv", "--robot", robot, "--report", "report", "--json")
+    done = cli("assess", swing_bag, "-o", "auto.csv", *words, "--report", "report", "--json")
     assert done.returncode == 0
     (model,) = json.loads(done.stdout)["mass_models"]
     assert model.startswith("full: no lumped mass: joint4 moves the contact point")
@@ -407,24 +408,26 @@ def test_report_shows_every_contact_point_and_episode(swing_bag: Path, cli: Cli,
     done = cli(*words)
     assert (done.returncode, done.stderr) == (0, "")
     assert str(tmp_path / "report" / "report.html") in done.stdout
-    figures = [f"{name}{suffix}" for name in ("run", "run_2", "run_3", "run_4") for suffix in (".png", ".svg")]
-    assert sorted(path.name for path in (tmp_path / "report").iterdir()) == ["report.html", *figures, "summary.json"]
+    runs = ("run", *(f"run_{number}" for number in range(2, 13)))  # of each contact and recording
+    figures = [f"{name}{suffix}" for name in runs for suffix in (".png", ".svg")]
+    files = {path.name for path in (tmp_path / "report").iterdir()}
+    assert files == {"report.html", *figures, "summary.json"}
     summary = json.loads((tmp_path / "report" / "summary.json").read_text(encoding="utf-8"))
     assert summary["figures"] == [str(tmp_path / "report" / name) for name in figures]
     assert {episode["run"].rpartition(" ")[2] for episode in summary["episodes"]} == {"swing", "tour"}
-    assert {episode["contact_point"] for episode in summary["episodes"]} == {"tool", "elbow"}
+    links = {"link1", "link2", "link3", "link4"}
+    assert {episode["contact_point"] for episode in summary["episodes"]} == {"tool", "elbow"} | links
     violation = min((e for e in summary["episodes"] if e["min_margin_m_s"]), key=lambda e: e["min_margin_m_s"])
     assert violation["verdict"] == "VIOLATION"
     assert violation["min_margin_m_s"] == summary["tightest"]["margin_m_s"]
     assert set(violation["positions"]) == {"joint1", "joint2", "joint3", "joint4"}
-    assert violation["body_region"] == summary["tightest"]["body_region"] == "abdomen"
-    assert "lower_leg" in violation["reason"]  # which governs at the start of the interval
+    assert violation["body_region"] == summary["tightest"]["body_region"] == "lower_leg"
     assert violation["remedy"] == remedy(Reason.TOO_FAST) != ""
     assert all(episode["remedy"] for episode in summary["episodes"])
     assert abs(violation["stamp_ns"] - summary["tightest"]["stamp_ns"]) <= 1e9 * violation["duration_s"] + 1
     page = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
     assert violation["remedy"] in page
-    assert page.count("data:image/png;base64,") == 4
+    assert page.count("data:image/png;base64,") == len(runs)
     assert "not a certified safety function" in page
     assert "no rotor inertia for joint1" in page
 
@@ -503,7 +506,7 @@ def test_verdicts_of_the_shipped_bags_have_all_properties(suffix: str, tmp_path:
     done = cli("assess", share("bags", "tour"), "-o", table, "--properties", "--json")
     checks = json.loads(done.stdout)["properties"]
     assert (done.returncode, [check["violations"] for check in checks]) == (0, [0] * (len(PROPERTIES) - 1))
-    assert {check["evaluated"] for check in checks} == {2 * 7625}
+    assert {check["evaluated"] for check in checks} == {6 * 7625}
 
 
 def test_recorded_verdicts_that_violate_a_property_give_exit_code_1(swing_bag: Path, tmp_path: Path, cli: Cli) -> None:

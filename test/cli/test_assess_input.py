@@ -47,8 +47,9 @@ def plain(swing_bag: Path, cli: Cli, tmp_path: Path) -> list[dict[str, Any]]:
 
 
 def rows_of(path: Path) -> list[dict[str, Any]]:
-    """Return the rows of a table without the recording."""
-    return parquet.read_table(path).drop_columns("bag").to_pylist()  # type: ignore[no-any-return]
+    """Return the rows of a table without the recording; a mass that is not there is None, which equals itself."""
+    rows = parquet.read_table(path).drop_columns("bag").to_pylist()
+    return [{name: None if value != value else value for name, value in row.items()} for row in rows]
 
 
 @pytest.mark.parametrize(
@@ -129,12 +130,14 @@ def test_velocity_from_positions_is_near_the_recorded_one(
     how = "slope of the least-squares line over 0.02 s, 0.01 s late" if window_s else "between two, half their distance"
     assert f"velocity        computed from positions: {how}" in done.stdout
     rows = rows_of(tmp_path / "a.parquet")
-    late = 2 * 5 if window_s else 0  # joint states are 2 ms apart, with two contact points each
-    delays = [row["velocity_delay_s"] for row in rows[40:]]
+    contacts = 6
+    late = contacts * 5 if window_s else 0  # joint states are 2 ms apart
+    delays = [row["velocity_delay_s"] for row in rows[20 * contacts :]]
     assert delays == pytest.approx([0.01 if window_s else 0.001] * len(delays))
-    for row, before in zip(rows[240:], plain[240 - late :], strict=False):
+    for row, before in zip(rows[120 * contacts :], plain[120 * contacts - late :], strict=False):
         assert row["verdict"] != "UNKNOWN"
-        assert row["speed_m_s"] == pytest.approx(before["speed_m_s"], abs=0.002)
+        if row["contact_point"] in {"tool", "elbow"}:  # a link can count at another vertex
+            assert row["speed_m_s"] == pytest.approx(before["speed_m_s"], abs=0.002)
 
 
 def test_velocities_of_another_recording_are_joined_by_log_time(
@@ -154,7 +157,7 @@ def test_velocities_of_another_recording_are_joined_by_log_time(
     assert done.returncode == 0
     assert f"velocity        from {tmp_path / 'velocities.mcap'}, interpolated at the log times" in done.stdout
     rows = rows_of(tmp_path / "a.parquet")
-    for number, (row, expected) in enumerate(zip(rows[::2], plain[::2], strict=True)):
+    for number, (row, expected) in enumerate(zip(rows[::6], plain[::6], strict=True)):
         missing = number < 1 or 400 < number <= 700 or number > 995
         assert row["reason"].startswith("the velocity is empty") == missing, number
         if row["verdict"] != "UNKNOWN":

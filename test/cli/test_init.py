@@ -216,7 +216,7 @@ def test_existing_file_is_kept_without_force(cli: Cli, refused: Refused, tmp_pat
     assert refused("init") == "cell.yaml: already exists; use --force to replace it"
     assert cli("init", "--force").returncode == 0
     written = load_settings(MonitorSettings, tmp_path / "cell.yaml", "monitor")
-    assert written == MonitorSettings(contact_points=("tool", "elbow"))
+    assert written == MonitorSettings(contact_points=("tool", "elbow", "whole_arm"))
 
 
 class Terminal(io.StringIO):

@@ -116,8 +116,9 @@ def test_demo_with_a_bag_gives_the_result_of_assess(
     assert "1000 joint states sent, 0 of other devices, 1000 answered, 0 lost" in done.stdout
     assert "VIOLATION" in done.stdout
     assert str(tmp_path / "out" / "report.html") in done.stdout
-    figures = {f"{name}.{suffix}" for name in ("run", "run_2") for suffix in ("png", "svg")}  # tool and elbow
-    for name in ("run", "run_2"):
+    runs = ("run", *(f"run_{number}" for number in range(2, 7)))  # two points, four links
+    figures = {f"{name}.{suffix}" for name in runs for suffix in ("png", "svg")}
+    for name in runs:
         assert (tmp_path / "out" / f"{name}.png").read_bytes().startswith(PNG)
         assert ET.parse(tmp_path / "out" / f"{name}.svg").getroot().tag.endswith("svg")  # noqa: S314 - our own file
     files = {path.name for path in (tmp_path / "out").iterdir()}

@@ -32,7 +32,7 @@ from scara_effmass.studies.evidence import (
     simulate,
     write_evidence,
 )
-from scara_effmass.values import JointState, Verdict
+from scara_effmass.values import FloatArray, JointState, Verdict
 
 COLUMNS = (
     "index,robot,link,region,place,plate,drives,bandwidth_hz,damping,draws,setting,speed_m_s,"
@@ -210,7 +210,12 @@ def test_robots_plates_drives_and_places_take_turns() -> None:
 
 def test_worst_normal_and_place_give_a_larger_force_than_random_ones(monkeypatch: pytest.MonkeyPatch) -> None:
     """The same motions, at the same speed, with another plate or at another place of the link."""
-    rng, others = np.random.default_rng(SEED), ([], [])
+
+    def forces(index: int) -> FloatArray:
+        return np.array([row["peak_n"] for row in simulate(SEED, index)], dtype=float)
+
+    rng = np.random.default_rng(SEED)
+    others: tuple[list[float], list[float]] = [], []
     for index in range(5):
         impact = draw_impact(SEED, index)
         assert (impact.plate, impact.place) == (WORST, WORST)
@@ -219,11 +224,11 @@ def test_worst_normal_and_place_give_a_larger_force_than_random_ones(monkeypatch
             normal = rng.normal(size=3)
             normal *= math.copysign(1.0, normal @ start.normal) / np.linalg.norm(normal)
             normals[name], places[name] = start._replace(normal=normal), start._replace(position=impact.position)
-        worst = [row["ratio"] for row in simulate(SEED, index)]
+        worst = forces(index)
         for starts, ratios in zip((normals, places), others, strict=True):
             changed = impact._replace(starts=starts)
             monkeypatch.setattr(evidence, "draw_impact", lambda *_, changed=changed: changed)
-            ratios += [row["ratio"] / ratio for row, ratio in zip(simulate(SEED, index), worst, strict=True)]
+            ratios.extend((forces(index) / worst).tolist())
             monkeypatch.undo()
     for ratios in others:
         assert np.median(ratios) < 0.95
