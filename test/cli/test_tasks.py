@@ -97,7 +97,8 @@ def test_result_does_not_depend_on_where_it_is_computed(bags: Path, scheduler: s
         points = len(set(table["contact_point"].to_pylist()))
         assert sum(topic.count for topic in bag.topics) == table.num_rows // points + 1
     parts = parquet.read_table(tmp_path / "one" / "data").select(table.column_names)
-    assert parts.replace_schema_metadata() == table.replace_schema_metadata()
+    assert parts.schema.equals(table.schema)
+    assert repr(parts.to_pylist()) == repr(table.to_pylist())  # a mass that is not there is NaN
 
 
 @pytest.mark.usefixtures("unrendered")
