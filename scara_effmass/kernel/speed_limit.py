@@ -338,7 +338,7 @@ def person_case_bound(
         if fastest.speed == math.inf:
             break
         bound = person_line_bound(case, p, m, setup, (case.lines[i, 0], case.lines[i, 1]), rate, person, least)
-        if bound.speed > fastest.speed:
+        if is_slower(fastest, bound):
             fastest = bound
     return no_slower_than_at_rest(fastest, person)
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 
 from scara_effmass.iso15066.allowable_speed import ContactCase, SpeedLimit, max_speed
 from scara_effmass.iso15066.drives import Line
@@ -52,14 +53,18 @@ def _speed(found: SpeedLimit) -> float:
     return found.allowable_speed
 
 
+def _is_slower(other: SpeedLimit, limit: SpeedLimit) -> bool:
+    """Return whether `other` allows less than `limit`; equal ones differ by rounding, and the first one counts."""
+    difference = limit.allowable_speed - other.allowable_speed
+    return difference > TIE * abs(other.allowable_speed) or difference == math.inf
+
+
 def _slowest(limits: Iterable[SpeedLimit]) -> SpeedLimit:
-    """Return the limit with the smallest speed; equal ones differ by rounding, and the first one counts."""
-    slowest, *others = limits
-    for limit in others:
-        difference = slowest.allowable_speed - limit.allowable_speed
-        if difference > TIE * abs(limit.allowable_speed) or difference == math.inf:
-            slowest = limit
-    return slowest
+    return reduce(lambda first, other: other if _is_slower(other, first) else first, limits)
+
+
+def _fastest(limits: Iterable[SpeedLimit]) -> SpeedLimit:
+    return reduce(lambda first, other: other if _is_slower(first, other) else first, limits)
 
 
 def _of_case(
@@ -83,7 +88,7 @@ def _of_mobility(
     """Return the bound F = u sqrt(mu k), where 1/mu(n) >= alpha + beta n^T A n holds for every one of the `lines`."""
     if person is not None:
         force = max(0.0, min(case.force, max_force))
-        found = max((person_speed_limit(case, mobility, line, person, force) for line in lines), key=_speed)
+        found = _fastest(person_speed_limit(case, mobility, line, person, force) for line in lines)
         return replace(found, allowable_speed=max(found.allowable_speed, -person.speed))  # none is slower than at rest
     alpha, beta = min(lines, key=lambda line: mobility.point_reduced_mass(*line))
     mu = mobility.reduced_mass(alpha, beta)

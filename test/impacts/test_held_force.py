@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from scara_effmass.impacts.detector import Detector
 from scara_effmass.impacts.load import EARLIER_LOAD, LATER_LOAD, MAX_HELD_S, NO_BASELINE, SLOW_CHANGE, TENSION
+from scara_effmass.iso15066 import TRANSIENT_S
 from scara_effmass.settings import DetectionSettings
 from scara_effmass.values import BoolArray, FloatArray, Impact
 from test.impacts.conftest import Detect, MakeBlock
@@ -100,6 +101,13 @@ def test_the_peak_of_a_press_that_rises_on_is_that_of_its_first_half_second(dete
 
 
 @rates
+def test_a_contact_that_stays_ends_with_its_last_sample(detect: Detect, rate: float) -> None:
+    time = time_axis(8.0, rate)
+    (impact,), _ = detect(noise(time) + drop(time, 2.0, 50.0, 158.0) * (time < 5.0), rate)
+    assert impact.onset_sample + impact.duration * rate == pytest.approx(5.0 * rate, abs=0.1)
+
+
+@rates
 def test_force_that_moves_for_long_is_reported_and_the_rest_counted(detect: Detect, rate: float) -> None:
     time = time_axis(25.0, rate)
     swing = np.where((time > 2.5) & (time < 20.0), 15.0 * np.sin(9.0 * time), 0.0)
@@ -120,6 +128,8 @@ def test_a_slow_press_is_found_by_its_end_and_otherwise_counted_with_its_peak(de
     impacts, detector = detect(noise(time) + press(time, 5.0, 60.0, 6.0, 1.0, 0.05), rate)
     (impact,) = impacts
     assert impact.onset_sample / rate == pytest.approx(5.6, abs=0.5)
+    transient_end = impact.onset_sample / rate + TRANSIENT_S
+    assert impact.peak_force == pytest.approx(10.0 * (transient_end - 5.0), abs=0.5)
     assert impact.held_force == pytest.approx(60.0, abs=2.0)
     assert impact.is_press
     assert list(detector.left_out) == []

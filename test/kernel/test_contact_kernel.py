@@ -17,6 +17,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from scara_effmass.codes import ModelCode, Reason
+from scara_effmass.iso15066 import MIN_EFFECTIVE_MASS
 from scara_effmass.iso15066.drives import MAX_MOBILITY
 from scara_effmass.kernel.contact_kernel import ContactKernel
 from scara_effmass.kernel.records import CONTACT, MAX_JOINTS
@@ -36,6 +37,9 @@ ROBOTS = [REPOSITORY / "config" / "omron_i4_550l.yaml", *sorted(REPOSITORY.glob(
 STATES = 48
 ROUNDED = {"kinova": 1e-6, "ur10_robot": 1e-8}
 """Tolerance of lumped models of tiny inertia (2.5e-7 kg m2), which Pinocchio's inverse rounds; see the test of CRBA."""
+
+COMPUTED_TORQUE = {"drives": "servo", "servo": {"computed_torque": True}}
+CLAMPED = {"contact": "quasi_static", "person_speed": 0.2}
 
 LINKS = 1e-6
 """Tolerance for whole links, whose energy is a minimum over the lengths of steps."""
@@ -113,13 +117,12 @@ def computed(channel: ContactKernel | ReferenceChannel, dynamics: RobotDynamics,
 def compare(
     dynamics: RobotDynamics,
     chosen: MonitorSettings,
-    seed: int,
+    motions: FloatArray,
     tolerance: float = AGREEMENT,
     *,
     singular: float = SINGULAR,
 ) -> Any:  # noqa: ANN401
     """Require that kernel and reference agree, at singular poses within `singular`; return the contacts."""
-    motions = motions_of(dynamics, seed)
     channels = ContactKernel(dynamics, chosen), ReferenceChannel(dynamics, chosen)
     contacts, expected = (computed(channel, dynamics, motions) for channel in channels)
     if chosen.drives is Drives.SERVO or chosen.contact is ContactType.QUASI_STATIC:
@@ -149,7 +152,8 @@ def with_links(path: Path, settings: MonitorSettings, seed: int) -> Robot:
 
 def compare_robot(robot: Path, values: dict[str, Any], seed: int) -> Any:  # noqa: ANN401
     chosen = settings_of(**values)
-    return compare(RobotDynamics(load_robot(robot, chosen)), chosen, seed, ROUNDED.get(robot.stem, AGREEMENT))
+    dynamics = RobotDynamics(load_robot(robot, chosen))
+    return compare(dynamics, chosen, motions_of(dynamics, seed), ROUNDED.get(robot.stem, AGREEMENT))
 
 
 @pytest.mark.parametrize("robot", ROBOTS, ids=lambda path: path.stem)
@@ -191,7 +195,29 @@ def test_kernel_equals_the_reference_for_whole_links(
     other |= {"person_speed": 0.0} if contact["drives"] == "immovable" else {}
     chosen = settings_of(**contact | other | {"contact_normal": "worst"})
     dynamics = RobotDynamics(with_links(robot, chosen, seed))
-    compare(dynamics, chosen, seed, LINKS, singular=math.inf if chosen.contact == "quasi_static" else SINGULAR)
+    singular = math.inf if chosen.contact == "quasi_static" else SINGULAR
+    compare(dynamics, chosen, motions_of(dynamics, seed), LINKS, singular=singular)
+
+
+@pytest.mark.parametrize(
+    ("robot", "values", "seed", "rows"),
+    [
+        ("panda", COMPUTED_TORQUE | {"body_regions": ("neck", "pelvis")}, 0, [1, 5, 7]),
+        ("panda", {"drives": "servo"}, 8241, [4]),
+        ("ur5_robot", {"drives": "servo", "effective_mass_model": "iso"}, 7005, [32]),
+        ("omron_i4_550l", CLAMPED | {"drives": "servo", "external_force_limit": 20.0}, 0, [1, 2, 3]),
+        ("ur5_robot", CLAMPED | {"drives": "free", "person_direction": (1.0, -1.0, 0.5)}, 9238, [15]),
+    ],
+    ids=["saturates_along_worst_normal", "least_mobility", "push_allows_more", "weak_push", "person_too_fast"],
+)
+def test_kernel_equals_the_reference_for_single_joint_states_of_links(
+    robot: str, values: dict[str, Any], seed: int, rows: list[int]
+) -> None:
+    """One step of the kernel decides in each of them, on which hardly any random joint state depends."""
+    (path,) = (path for path in ROBOTS if path.stem == robot)
+    chosen = settings_of(**values)
+    dynamics = RobotDynamics(with_links(path, chosen, seed))
+    compare(dynamics, chosen, motions_of(dynamics, seed)[rows], LINKS)
 
 
 @pytest.mark.parametrize("robot", ROBOTS[:4], ids=lambda path: path.stem)
@@ -230,8 +256,8 @@ def test_each_contact_has_the_limits_of_its_area(robot: Path, values: dict[str, 
     sizes = (1e-5, 1e-3, 5e-5)
     chosen = settings_of(**values, contact_areas=[f"{names[0]}={sizes[0]}", f"{names[1]}={sizes[1]}", f"*={sizes[2]}"])
     singular = math.inf if chosen.contact == "quasi_static" else SINGULAR
-    contacts = compare(dynamics, chosen, 5, LINKS, singular=singular)
     motions = motions_of(dynamics, 5)
+    contacts = compare(dynamics, chosen, motions, LINKS, singular=singular)
     for number, area in enumerate((*sizes[:2], *[sizes[2]] * (len(names) - 2))):
         alone = computed(ContactKernel(dynamics, settings_of(**values, contact_area_m2=area)), dynamics, motions)
         assert contacts[:, number].tobytes() == alone[:, number].tobytes()
@@ -266,10 +292,22 @@ def test_kernel_equals_the_reference_for_every_setting(
 
 
 @pytest.mark.parametrize("robot", ROBOTS[:4], ids=lambda path: path.stem)
-@pytest.mark.parametrize("normal", ["worst", "velocity", "1 -2 0.5"])
-def test_kernel_equals_the_reference_where_joints_saturate(robot: Path, normal: str) -> None:
-    servo = {"drives": "servo", "servo": {"computed_torque": True}}
-    compare_robot(robot, servo | {"contact_normal": normal, "effective_mass_model": "full"}, 7)
+@pytest.mark.parametrize(
+    ("values", "effort"),
+    [
+        *product(({"contact_normal": normal} for normal in ("worst", "velocity", "1 -2 0.5")), (1.0, 0.2)),
+        *product(({"person_speed": 0.2},), (1.0, 0.2)),
+    ],
+    ids=str,
+)
+def test_kernel_equals_the_reference_where_joints_saturate(robot: Path, values: dict[str, Any], effort: float) -> None:
+    """With a fifth of their effort, some joints cannot even hold the weight of the arm."""
+    chosen = settings_of(**COMPUTED_TORQUE | values | {"effective_mass_model": "full"})
+    loaded = load_robot(robot, chosen)
+    model = loaded.model.copy()
+    model.effortLimit = effort * model.effortLimit
+    dynamics = RobotDynamics(replace(loaded, model=model))
+    compare(dynamics, chosen, motions_of(dynamics, 7))
 
 
 def test_kernel_equals_the_reference_where_the_force_falls_with_the_energy() -> None:
@@ -309,7 +347,39 @@ def test_kernel_equals_the_reference_for_very_light_servo_arms(tmp_path: Path, s
     path = light_arm(tmp_path / "light.yaml", scale)
     for model in ("lumped", "full", "largest"):
         chosen = settings_of(drives="servo", contact_normal=normal, effective_mass_model=model)
-        compare(RobotDynamics(load_robot(path, chosen)), chosen, 11)
+        dynamics = RobotDynamics(load_robot(path, chosen))
+        compare(dynamics, chosen, motions_of(dynamics, 11))
+
+
+@pytest.mark.parametrize(("ratio", "reason"), [(0.9, Reason.TOO_LIGHT), (1.1, Reason.NONE)])
+def test_kernel_refuses_masses_below_the_least_effective_mass(tmp_path: Path, ratio: float, reason: Reason) -> None:
+    chosen = settings_of(effective_mass_model="full", contact_points=("tool",))
+    q, qd = np.array([[0.3, 1.2, 0.1, 0.2]]), np.array([[1e-3, 1e-2, 0.0, 0.0]])
+    scale = 1.0
+    for _ in range(2):  # the mass is that of the arm times its scale
+        dynamics = RobotDynamics(load_robot(light_arm(tmp_path / "light.yaml", scale), chosen))
+        motions = np.stack([q, qd, *np.zeros((3, 1, 4))], axis=1)
+        (contact,) = compare(dynamics, chosen, motions)[0]
+        scale *= ratio * MIN_EFFECTIVE_MASS / float(contact["full_mass"])
+    assert contact["reason"][CODE] == reason
+    assert (contact["verdict"] == Verdict.UNKNOWN) == (reason is Reason.TOO_LIGHT)
+
+
+@pytest.mark.parametrize("model", ["auto", "lumped", "largest"])
+@pytest.mark.parametrize(("normal", "lumped"), [("velocity", Verdict.OK), ("worst", Verdict.UNKNOWN)])
+def test_kernel_has_a_lumped_mass_across_the_motion_of_a_massless_joint(
+    model: str, normal: str, lumped: Verdict
+) -> None:
+    """Joint 4 moves no lumped mass and no point along its own axis, along which the arm slides."""
+    chosen = settings_of(effective_mass_model=model, contact_normal=normal)
+    robot = with_links(ROBOTS[0], chosen, 0)
+    dynamics = RobotDynamics(replace(robot, hulls={}))
+    motions = motions_of(dynamics, 0)[1:9]
+    motions[:, 1:] = 0.0
+    motions[:, 1, 2] = 0.05
+    contacts = compare(dynamics, chosen, motions)[:, -1]
+    assert np.isfinite(contacts["lumped_mass"]).all()
+    assert model != "lumped" or (contacts["verdict"] == lumped).all()
 
 
 @pytest.mark.parametrize("computed_torque", [True, False])

@@ -12,7 +12,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy import optimize, stats
 
-from scara_effmass.impacts.agreement import NO_REGION, Agreement, RegionForce, agreement, region_force
+from scara_effmass.impacts.agreement import NO_REGION, Agreement, RegionForce, agreement, region_force, static_force
 from scara_effmass.iso15066 import limits_for, peak_force, reduced_mass
 from scara_effmass.settings import MonitorSettings
 
@@ -233,10 +233,19 @@ def test_clamped_region_has_an_infinite_mass() -> None:
     assert (result.force, result.limit) == pytest.approx((100.0, 140.0))
 
 
-def test_the_region_closest_to_its_limit_is_returned() -> None:
-    result = region_force(ALL, 100.0, [3.0], 5.0, 1e5)
-    others = [region_force([limit], 100.0, [3.0], 5.0, 1e5) for limit in ALL]
+@pytest.mark.parametrize(("regions", "closest"), [((), "lower_leg"), (("thigh_knee", "chest"), "chest")])
+def test_the_region_closest_to_its_limit_is_returned(regions: tuple[str, ...], closest: str) -> None:
+    """The force on the thigh is larger than that on the chest, and so is its limit."""
+    limits = limits_for(MonitorSettings(body_regions=regions))
+    result = region_force(limits, 400.0, [3.0], 5.0, 1e5)
+    others = [region_force([limit], 400.0, [3.0], 5.0, 1e5) for limit in limits]
     assert result.force / result.limit == max(other.force / other.limit for other in others)
+    assert (result.region, result.exceeds) == (closest, True)
+
+
+def test_a_static_force_has_the_smallest_limit() -> None:
+    assert static_force(ALL, 230.0)[:3] == ("abdomen", 230.0, 220.0)
+    assert static_force(ALL, 0.0) == NO_REGION
 
 
 def test_nothing_without_stiffness() -> None:

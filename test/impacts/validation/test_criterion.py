@@ -98,6 +98,10 @@ def test_wrong_series_is_rejected(changes: dict[str, Any], reason: str) -> None:
             "one obstacle mass (2.39 kg) cannot separate the robot's mass from the gain; next: an obstacle of m_H =",
         ),
         (
+            {"obstacle_masses": np.full(12, np.inf)},
+            "one obstacle mass (inf kg) cannot separate the robot's mass from the gain; next: an obstacle of m_H =",
+        ),
+        (
             {"one_pose": True},
             "one pose cannot show that the mass follows the pose; next: every obstacle in a second pose",
         ),

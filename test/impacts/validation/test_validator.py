@@ -625,6 +625,8 @@ def test_plate_normal_of_the_run_replaces_that_of_the_settings() -> None:
     assert (runs.latest.normal, runs.latest.guide) == ((0.0, 0.0, -1.0), None)
     runs.set(START + 2, normal=(0.0, 1.0, 0.0))
     assert runs.latest.normal == (0.0, 1.0, 0.0)
+    runs.begin(RunInfo(plate_normal=(0.0, 0.0, 3.0)), START + 2)
+    assert (runs.latest.normal, runs.latest.guide) == ((0.0, 0.0, 1.0), None)
     for wrong in (RunInfo(plate_normal=(NAN, 0.0, 0.0)), RunInfo(guide_direction=(math.inf, 0.0, 0.0))):
         with pytest.raises(SettingsError, match="must be finite"):
             runs.begin(wrong, START + 3)
