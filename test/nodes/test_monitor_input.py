@@ -72,7 +72,7 @@ def test_invalid_joint_state_gives_unknown_until_the_next_valid_one(
     answer = harness.response_to(valid)
     assert (answer.verdict, answer.reason) == (ContactState.OK, "")
     assert answer.header.stamp == valid.header.stamp
-    assert harness.scalars["allowable_speed"][-1] == answer.allowable_speed > 0.0
+    assert harness.scalars["allowable_speed"][-1] == answer.message.allowable_speed > 0.0
     assert harness.scalars["speed_scaling"][-1] == 1.0
 
 
