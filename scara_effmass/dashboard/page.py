@@ -5,7 +5,7 @@ import csv
 import io
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime, timezone
 from html import escape
@@ -52,7 +52,7 @@ class Page:
             ui.label(ADVISORY)
         with ui.element("div").classes("page"):
             self._make_verdict()
-            with _card("Robot"):
+            with _card("Robot", "wide"):
                 self._scene = RobotScene(dynamics, settings)
                 _html(
                     "Links: in the colour of their verdict. At the worst place of each: velocity (black), worst normal "
@@ -60,13 +60,13 @@ class Page:
                     "note",
                 )
                 self._scene_note = ui.label().classes("note")
-            with _card("Speed and allowable speed, last 60 s", "speeds"):
+            with _card("Speed and allowable speed, last 60 s", "wide"):
                 lines = [
                     _line("allowable", _LIMIT_COLOR, type="dashed", step="end"),
                     _line("speed", _SPEED_COLOR, areaStyle={"opacity": 0.08}),
                 ]
                 self._speeds = _chart("speed and allowable speed", "s before now", "m/s", lines, x_min=-60, x_max=0)
-            with _card("Contact points"):
+            with _card("Contact points", "whole"):
                 self._contacts = _html("", "scroll")
             with _card("Last impacts", "wide"):
                 lines = [
@@ -249,28 +249,26 @@ def _speed_lines(status: CellStatus, now_ns: int) -> tuple[list[list[float | Non
 
 
 def _contact_rows(status: CellStatus) -> tuple[list[str], list[list[str]], str]:
-    """Return a table with a column for each contact point."""
-    contacts = status.contacts if status.verdict is not Verdict.UNKNOWN else ()
+    """Return a table with a row for each contact."""
 
     def mass(value: float) -> str:
         return "none" if math.isnan(value) else f"{value:.2f} kg"
 
-    def decides(contact: ContactAssessment) -> str:
-        return f"{contact.mass_model}, {mass(contact.effective_mass)}"
-
-    rows = [
-        ["verdict", *(contact.verdict.name for contact in contacts)],
-        ["speed", *(f"{at_least(contact.speed, 3)} m/s" for contact in contacts)],
-        ["allowable speed", *(f"{at_most(contact.allowable_speed, 3)} m/s" for contact in contacts)],
-        ["effective mass, lumped", *(mass(contact.lumped_mass) for contact in contacts)],
-        ["effective mass, full", *(mass(contact.full_mass) for contact in contacts)],
-        ["effective mass, ISO", *(mass(contact.iso_mass) for contact in contacts)],
-        ["deciding mass", *map(decides, contacts)],
-        ["upper bound of force", *(f"{contact.force_bound:.0f} N" for contact in contacts)],
-        ["limit", *(f"{contact.body_region.replace('_', ' ')}, {contact.criterion}" for contact in contacts)],
-    ]
-    headings = ["along the velocity", *(contact.contact_point for contact in contacts)]
-    return headings, rows if contacts else [], "no numbers while the verdict is UNKNOWN"
+    columns: dict[str, Callable[[ContactAssessment], str]] = {
+        "along the velocity": lambda contact: contact.contact_point,
+        "verdict": lambda contact: contact.verdict.name,
+        "speed": lambda contact: f"{at_least(contact.speed, 3)} m/s",
+        "allowable speed": lambda contact: f"{at_most(contact.allowable_speed, 3)} m/s",
+        "effective mass, lumped": lambda contact: mass(contact.lumped_mass),
+        "effective mass, full": lambda contact: mass(contact.full_mass),
+        "effective mass, ISO": lambda contact: mass(contact.iso_mass),
+        "deciding mass": lambda contact: f"{contact.mass_model}, {mass(contact.effective_mass)}",
+        "upper bound of force": lambda contact: f"{contact.force_bound:.0f} N",
+        "limit": lambda contact: f"{contact.body_region.replace('_', ' ')}, {contact.criterion}",
+    }
+    contacts = status.contacts if status.verdict is not Verdict.UNKNOWN else ()
+    rows = [[text(contact) for text in columns.values()] for contact in contacts]
+    return [*columns], rows, "no numbers while the verdict is UNKNOWN"
 
 
 def _region_text(validation: Validation) -> str:

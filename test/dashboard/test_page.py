@@ -155,7 +155,7 @@ def test_the_page_shows_what_holds_and_never_an_old_ok(monitor: NodeHarness, bro
             expect(page.get_by_role("region", name=card, exact=True)).to_be_visible()
         expect(page.get_by_role("main")).to_have_count(1)
         expect(page.get_by_text("not a certified safety function")).to_be_visible()
-        expect(page.get_by_role("rowheader", name="effective mass, full")).to_be_visible()
+        expect(page.get_by_role("columnheader", name="effective mass, full")).to_be_visible()
         expect(page.get_by_role("rowheader", name="monitor model")).to_be_visible(timeout=WAIT_MS)
         assert page.locator("canvas").bounding_box()
         page.wait_for_function(FETCHED_HULLS, arg=4, timeout=WAIT_MS)
