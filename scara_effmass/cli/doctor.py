@@ -262,8 +262,7 @@ def _home_masses(dynamics: RobotDynamics) -> Iterator[tuple[str, str]]:
     """Yield each named point and its masses along the base axes, all joints at 0 or their limit nearest to it."""
     model = dynamics.robot.model
     q = np.clip(np.zeros(model.nv), model.lowerPositionLimit, model.upperPositionLimit)
-    contacts = dynamics.at(q).contacts
-    for contact in (contacts[index] for index in _named(dynamics)):
+    for contact in (contact for contact in dynamics.at(q).contacts if contact.name in _points(dynamics)):
         for code, mobility in contact.mobilities.items():
             if code is ModelCode.FULL or contact.no_lumped_mass(None) is None:
                 values = np.diagonal(mobility).tolist()
@@ -290,10 +289,9 @@ def tightest(dynamics: RobotDynamics, settings: MonitorSettings) -> Iterator[Che
         yield CheckResult("ok", "tightest contact", f"{shares(counts)} of {len(deciding)} random motions")
 
 
-def _named(dynamics: RobotDynamics) -> list[int]:
-    """Return the numbers of the contacts that are points: the place of a link depends on the motion."""
-    points = [index for index, contact in enumerate(dynamics.contacts) if not len(contact.vertices)]
-    return points or [0]
+def _points(dynamics: RobotDynamics) -> tuple[str, ...]:
+    """Return the contacts whose masses are shown: the place of a link depends on the motion."""
+    return dynamics.robot.named_points or dynamics.contact_points[:1]
 
 
 def _comparison(dynamics: RobotDynamics, margin: float) -> Iterator[CheckResult]:
@@ -302,15 +300,12 @@ def _comparison(dynamics: RobotDynamics, margin: float) -> Iterator[CheckResult]
         return
     comparisons, missing = compare_models(dynamics, margin, COMPARED_POSES, seed=1)
     masses = {entry.contact_point: entry for entry in comparisons if entry.quantity == "mass"}
-    lines, found = [], []
-    for index in _named(dynamics):
-        entry, missed = (
-            masses.get(dynamics.contact_points[index]),
-            f"no lumped mass at {missing[index]:.0%} of the poses",
-        )
-        lines.append(f"{dynamics.contact_points[index]}: {entry.text if entry else missed}")
-        found.append(entry)
-    is_heavy = all(entry and not entry.too_light for entry in found)
+    points, lines = _points(dynamics), []
+    for point, share in zip(dynamics.contact_points, missing, strict=True):
+        if point in points:
+            text = masses[point].text if point in masses else f"no lumped mass at {share:.0%} of the poses"
+            lines.append(f"{point}: {text}")
+    is_heavy = all(point in masses and not masses[point].too_light for point in points)
     yield CheckResult("ok" if is_heavy else "note", "lumped over full", "; ".join(lines))
 
 

@@ -86,9 +86,8 @@ def run(args: argparse.Namespace) -> int:
 def _stated(settings: MonitorSettings, dynamics: RobotDynamics) -> tuple[MonitorSettings, Assumptions]:
     """Return `settings` that state what the file holds and accept an unknown rotor inertia, and what is assumed."""
     values = {name: getattr(settings, name) for name in _cell_names() if name in MonitorSettings.model_fields}
-    named = tuple(name for name in dynamics.contact_points if name not in dynamics.robot.hulls)
     whole = (WHOLE_ARM,) if dynamics.robot.hulls else ()
-    values["contact_points"] = settings.contact_points or (*named, *whole)
+    values["contact_points"] = settings.contact_points or (*dynamics.robot.named_points, *whole)
     stated = settings.model_copy(update=values)
     if Assumption.ROTOR_INERTIA in assumptions_of(dynamics.robot, stated).assumed:
         accepted = (*settings.accept_assumptions, name_of(Assumption.ROTOR_INERTIA))

@@ -23,7 +23,7 @@ from scara_effmass.kernel.person import (
 )
 from scara_effmass.kernel.pose_change import contact_time, growth, max_growth
 from scara_effmass.kernel.records import HULL_KNOWN, HULL_NONE, Case, Mobility, Principal, Setup, Work
-from scara_effmass.reference.hull import TIE
+from scara_effmass.reference import speed_limit as reference
 
 
 class Bound(NamedTuple):
@@ -52,14 +52,22 @@ class Drives(NamedTuple):
     has_push: bool
 
 
+is_below = inlined(reference.is_below)
 NO_BOUND = Bound(math.inf, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @inlined
-def is_slower(other: Bound, bound: Bound) -> bool:
-    """Return whether `other` allows less than `bound`; equal ones differ by rounding, and the first one counts."""
-    difference: float = bound.speed - other.speed
-    return difference > TIE * abs(other.speed) or difference == math.inf
+def with_speed(bound: Bound, speed: float) -> Bound:
+    """Return `bound` with another speed."""
+    return Bound(speed, bound.reduced_mass, bound.growth, bound.push, bound.root, bound.gain)
+
+
+@inlined
+def slower(first: Bound, other: Bound) -> Bound:
+    """Return the bound with the smaller speed; of equal ones the first, so that rounding does not choose its force."""
+    if is_below(other.speed, first.speed):
+        return other
+    return with_speed(first, min(first.speed, other.speed))
 
 
 @inlined
@@ -215,13 +223,12 @@ def push_bound(
             if mu * case.stiffness * speed * speed >= rest:
                 return Bound(-math.inf, 0.0, 0.0, force, 0.0, 0.0)
         bound = free_bound(case, m, factor, case.stiffness / rest, least)
-        if k == 0 or is_slower(bound, slowest):
-            slowest = bound
+        slowest = bound if k == 0 else slower(slowest, bound)
     return Bound(slowest.speed, slowest.reduced_mass, slowest.growth, force, 0.0, 0.0)
 
 
 @inlined
-def fill_greatest(mobilities: Sequence[Mobility], setup: Setup, work: Work) -> None:
+def fill_bounds(mobilities: Sequence[Mobility], setup: Setup, work: Work) -> None:
     """Write what bounds every case with each mobility: most cases cannot set the speed.
 
     1 / mu(s), mu(s) = n^T (s 1 + A)^-1 n, rises by at least 1 per s (Cauchy-Schwarz); on a link, mu is at most that of
@@ -261,7 +268,7 @@ def governing_case(
 ) -> tuple[int, Bound]:
     """Return the case that allows the least speed, and its bound."""
     factor, governing, slowest = setup.mass_factor, 0, NO_BOUND
-    fill_greatest(mobilities, setup, work)
+    fill_bounds(mobilities, setup, work)
     # On a link, most cases are skipped if the case that governs at its vertex comes first.
     start = 0 if mobilities[0].hull == HULL_NONE else case_at_point(cases, mobilities, factor)
     for n in range(len(cases)):
@@ -271,9 +278,7 @@ def governing_case(
         for k in range(len(mobilities)):
             least = min(slowest.speed, bound.speed)
             if not is_no_slower(case, mobilities[k], k, rate, least, work):
-                other = case_bound(case, mobilities[k], factor, rate, least)
-                if is_slower(other, bound):
-                    bound = other
+                bound = slower(bound, case_bound(case, mobilities[k], factor, rate, least))
         if drives.has_push and bound.speed <= slowest.speed:
             other = push_bound(case, mobilities, drives, setup, bound.speed, slowest.speed)
             if bound.speed < other.speed:
@@ -321,8 +326,7 @@ def person_line_bound(
 @inlined
 def no_slower_than_at_rest(bound: Bound, person: Person) -> Bound:
     """Return `bound` with a speed that makes the person no slower than at rest."""
-    speed = max(bound.speed, -person.speed)
-    return Bound(speed, bound.reduced_mass, bound.growth, bound.push, bound.root, bound.gain)
+    return with_speed(bound, max(bound.speed, -person.speed))
 
 
 @inlined
@@ -338,7 +342,7 @@ def person_case_bound(
         if fastest.speed == math.inf:
             break
         bound = person_line_bound(case, p, m, setup, (case.lines[i, 0], case.lines[i, 1]), rate, person, least)
-        if is_slower(fastest, bound):
+        if is_below(fastest.speed, bound.speed):
             fastest = bound
     return no_slower_than_at_rest(fastest, person)
 
@@ -356,9 +360,7 @@ def person_push_bound(
     for k in range(len(mobilities)):
         rate, line = case.stiffness / rest, (case.obstacle_mobility, 1.0)
         bound = person_line_bound(case, work.principals[k], mobilities[k], setup, line, rate, person, least)
-        bound = no_slower_than_at_rest(bound, person)
-        if is_slower(bound, slowest):
-            slowest = bound
+        slowest = slower(slowest, no_slower_than_at_rest(bound, person))
     return Bound(slowest.speed, slowest.reduced_mass, 0.0, force, slowest.root, 0.0)
 
 
@@ -375,8 +377,7 @@ def governing_person_case(
         for k in range(len(mobilities)):
             least = min(slowest.speed, bound.speed)
             other = person_case_bound(case, work.principals[k], mobilities[k], setup, rate, person, least)
-            if is_slower(other, bound):
-                bound = other
+            bound = slower(bound, other)
         if drives.has_push and bound.speed <= slowest.speed:
             other = person_push_bound(case, mobilities, drives, setup, work, person, slowest.speed)
             if bound.speed < other.speed:

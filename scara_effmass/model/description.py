@@ -115,15 +115,17 @@ class RobotDescription:
     hulls: Mapping[str, FloatArray] = field(default_factory=dict)
 
 
-def watched_links(links: Sequence[str], globs: Sequence[str], origin: str) -> tuple[list[str], list[str]]:
-    """Return those of `links` with geometry that match `globs`, and a note on the others.
-
-    Raises RobotError for a pattern without a link.
-    """
+def matching_links(links: Sequence[str], globs: Sequence[str], setting: str, which: str) -> list[str]:
+    """Return those of `links` that match one of `globs`. Raises RobotError for a pattern of the `setting` without."""
     for glob in globs:
         if not any(fnmatchcase(link, glob) for link in links):
-            raise RobotError(f"{origin}: contact_links = {glob!r}: must match a link with geometry: {', '.join(links)}")
-    watched = [link for link in links if any(fnmatchcase(link, glob) for glob in globs)]
+            raise RobotError(f"{setting} = {glob!r}: must match {which} {', '.join(links)}")
+    return [link for link in links if any(fnmatchcase(link, glob) for glob in globs)]
+
+
+def watched_links(links: Sequence[str], globs: Sequence[str], origin: str) -> tuple[list[str], list[str]]:
+    """Return those of `links` with geometry that match `globs`, and a note on the others. Raises RobotError."""
+    watched = matching_links(links, globs, f"{origin}: contact_links", "a link with geometry:")
     left_out = [link for link in links if link not in watched]
     return watched, [f"{LEFT_OUT}{', '.join(left_out)}"] if left_out else []
 

@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 import reprlib
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from itertools import count
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -310,13 +309,14 @@ def _hulls(
     hulls, points = dict[str, FloatArray](), list[tuple[str, int, pin.SE3]]()
     if not file.has_boxes:
         raise RobotError(f"{origin}: contact_points = {WHOLE_ARM!r}: no link has boxes: state them, or name points")
-    links = zip(file.links, count(1), (row.link_in_joint() for row in file.joints), strict=False)
-    bodies = [*links, (file.payload, len(file.joints), file.joints[-1].next_in_joint())]
-    shaped = [body for body in bodies if body[0].boxes]
-    chosen, notes = watched_links([link.name for link, *_ in shaped], settings.contact_links, origin)
-    for link, joint, pose in shaped:
-        if link.name not in chosen:
-            continue
+    bodies = [
+        (link, joint, row.link_in_joint())
+        for joint, (row, link) in enumerate(zip(file.joints, file.links, strict=True), 1)
+    ]
+    bodies += [(file.payload, len(file.joints), file.joints[-1].next_in_joint())]
+    shaped = [link.name for link, *_ in bodies if link.boxes]
+    watched, notes = watched_links(shaped, settings.contact_links, origin)
+    for link, joint, pose in (body for body in bodies if body[0].boxes and body[0].name in watched):
         if link.name in taken:
             raise RobotError(f"{origin}: contact_points.{link.name}: must have another name than the link")
         corners = np.concatenate([shape_points("box", box.size) + box.center for box in link.boxes])

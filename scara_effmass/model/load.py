@@ -4,7 +4,6 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
 from typing import Protocol
@@ -13,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from scara_effmass.errors import RobotError
-from scara_effmass.model.description import RobotDescription, StatedLink, inertia_tensor
+from scara_effmass.model.description import RobotDescription, StatedLink, inertia_tensor, matching_links
 from scara_effmass.model.dh import load_dh
 from scara_effmass.model.hulls import shape_points, stated_hull
 from scara_effmass.model.light_ends import hold_light_end
@@ -216,8 +215,5 @@ def _add_payload(model: pin.Model, stated: RobotDescription, settings: MonitorSe
 
 def _tool_mass(links: Sequence[StatedLink], globs: Sequence[str], origin: str) -> float:
     """Return the mass [kg] of the `links` whose name matches one of `globs`. Raises RobotError for one without."""
-    for glob in globs:
-        if not any(fnmatchcase(link.name, glob) for link in links):
-            names = ", ".join(link.name for link in links)
-            raise RobotError(f"{origin}: tool_links = {glob!r}: must match one of the links {names}")
-    return sum(link.mass for link in links if any(fnmatchcase(link.name, glob) for glob in globs))
+    chosen = matching_links([link.name for link in links], globs, f"{origin}: tool_links", "one of the links")
+    return sum(link.mass for link in links if link.name in chosen)

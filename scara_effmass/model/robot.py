@@ -67,6 +67,11 @@ class Robot:
         return tuple(self.model.names)[1:]
 
     @property
+    def named_points(self) -> tuple[str, ...]:
+        """Contacts that are points, not links as a whole."""
+        return tuple(name for name in self.contact_frames if name not in self.hulls)
+
+    @property
     def revolute(self) -> tuple[bool, ...]:
         """Whether each joint is revolute (else prismatic)."""
         return tuple(joint.shortname().startswith("JointModelR") for joint in list(self.model.joints)[1:])

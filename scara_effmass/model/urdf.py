@@ -157,14 +157,11 @@ def _hulls(
         if settings.contact_points:
             raise
         return {}, [f"only the tip is watched, not whole_arm: {str(error).removeprefix(f'{tree.origin}: ')}"]
-    points = {name: (joint, pose) for name, joint, pose in placed}
     if not found:
         return {}, ["no link has geometry: only the contact points are watched"]
-    hulls = dict[str, FloatArray]()
+    points, hulls = {name: (joint, pose) for name, joint, pose in placed}, dict[str, FloatArray]()
     watched, left_out = watched_links([hull.link for hull in found], settings.contact_links, tree.origin)
-    for hull in found:
-        if hull.link not in watched:
-            continue
+    for hull in (hull for hull in found if hull.link in watched):
         if hull.link in points:
             hulls[hull.link] = outer_vertices(np.vstack([hull.vertices, points[hull.link][1].translation]))
         else:

@@ -87,7 +87,8 @@ class ContactState:
         self.state, self.point, self.name, self.rank = state, point, point.name, point.rank
         model, data, axes = state.dynamics.robot.model, state.data, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
         frame = model.frames[point.frame]
-        joint, size = frame.parentJoint, (6, model.nv)
+        self.joint = joint = frame.parentJoint
+        size = 6, model.nv
         # Pinocchio returns a vector for a single joint.
         self.link_jacobian = np.reshape(pin.getJointJacobian(model, data, joint, axes), size)
         link_rate = np.reshape(pin.getJointJacobianTimeVariation(model, data, joint, axes), size)
@@ -136,14 +137,10 @@ class ContactState:
             return None
         if mass_matrix is None:
             return Hull(self.vertices, self.twist, self.vertex)
-        inverse, count = (
-            np.linalg.inv(mass_matrix),
-            self.state.dynamics.robot.model.frames[self.point.frame].parentJoint,
-        )
+        inverse, n = np.linalg.inv(mass_matrix), self.joint
         mobility = self.link_jacobian @ inverse @ self.link_jacobian.T
-        qd = self.state.qd[:count]
-        # The joints beyond the link move as it costs no energy.
-        energy = float(qd @ np.linalg.solve(inverse[:count, :count], qd))
+        # The joints beyond the link may move as it costs the least energy: of M^-1 only the first n rows count.
+        energy = float(self.state.qd[:n] @ np.linalg.solve(inverse[:n, :n], self.state.qd[:n]))
         return Hull(self.vertices, self.twist, self.vertex, mobility, energy)
 
     @cached_property

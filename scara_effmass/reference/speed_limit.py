@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 
@@ -53,18 +53,22 @@ def _speed(found: SpeedLimit) -> float:
     return found.allowable_speed
 
 
-def _is_slower(other: SpeedLimit, limit: SpeedLimit) -> bool:
-    """Return whether `other` allows less than `limit`; equal ones differ by rounding, and the first one counts."""
-    difference = limit.allowable_speed - other.allowable_speed
-    return difference > TIE * abs(other.allowable_speed) or difference == math.inf
+def is_below(speed: float, other: float) -> bool:
+    """Return whether `speed` is below the `other` one by more than rounding."""
+    difference = other - speed
+    return difference > TIE * abs(speed) or difference == math.inf
 
 
-def _slowest(limits: Iterable[SpeedLimit]) -> SpeedLimit:
-    return reduce(lambda first, other: other if _is_slower(other, first) else first, limits)
+def _slower(first: SpeedLimit, other: SpeedLimit) -> SpeedLimit:
+    """Return the limit with the smaller speed; of equal ones the first, so that rounding does not choose its force."""
+    if is_below(other.allowable_speed, first.allowable_speed):
+        return other
+    return replace(first, allowable_speed=min(first.allowable_speed, other.allowable_speed))
 
 
-def _fastest(limits: Iterable[SpeedLimit]) -> SpeedLimit:
-    return reduce(lambda first, other: other if _is_slower(first, other) else first, limits)
+def _faster(first: SpeedLimit, other: SpeedLimit) -> SpeedLimit:
+    """Return the limit with the larger speed, of equal ones the first."""
+    return other if is_below(first.allowable_speed, other.allowable_speed) else first
 
 
 def _of_case(
@@ -74,7 +78,7 @@ def _of_case(
     max_force: float,
     person: MovingPerson | None,
 ) -> SpeedLimit:
-    found = _slowest(_of_mobility(case, m, case.lines_for(m.trace), max_force, person) for m in mobilities)
+    found = reduce(_slower, (_of_mobility(case, m, case.lines_for(m.trace), max_force, person) for m in mobilities))
     return found if push is None else max(found, _pushed(case, mobilities, push, person), key=_speed)
 
 
@@ -88,7 +92,8 @@ def _of_mobility(
     """Return the bound F = u sqrt(mu k), where 1/mu(n) >= alpha + beta n^T A n holds for every one of the `lines`."""
     if person is not None:
         force = max(0.0, min(case.force, max_force))
-        found = _fastest(person_speed_limit(case, mobility, line, person, force) for line in lines)
+        limits: list[SpeedLimit] = [person_speed_limit(case, mobility, line, person, force) for line in lines]
+        found = reduce(_faster, limits)
         return replace(found, allowable_speed=max(found.allowable_speed, -person.speed))  # none is slower than at rest
     alpha, beta = min(lines, key=lambda line: mobility.point_reduced_mass(*line))
     mu = mobility.reduced_mass(alpha, beta)
@@ -116,8 +121,8 @@ def _pushed(
         return SpeedLimit(at_rest if force < math.inf else -math.inf, case.limit, 0.0, case.stiffness, force)
     free = ((case.obstacle_mobility, 1.0),)
     if person is not None:
-        found = _slowest(_of_mobility(case, m, free, math.sqrt(square), person) for m in mobilities)
+        found = reduce(_slower, (_of_mobility(case, m, free, math.sqrt(square), person) for m in mobilities))
         return replace(found, push=force)
-    found = _slowest(_of_mobility(case, mobility, free) for mobility in mobilities)
+    found = reduce(_slower, (_of_mobility(case, mobility, free) for mobility in mobilities))
     speed = max_speed(math.sqrt(square / (found.reduced_mass * case.stiffness)), found.growth)
     return replace(found, allowable_speed=speed, push=force)

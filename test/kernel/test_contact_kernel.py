@@ -295,8 +295,9 @@ def test_kernel_equals_the_reference_for_every_setting(
 @pytest.mark.parametrize(
     ("values", "effort"),
     [
-        *product(({"contact_normal": normal} for normal in ("worst", "velocity", "1 -2 0.5")), (1.0, 0.2)),
-        *product(({"person_speed": 0.2},), (1.0, 0.2)),
+        ({name: value}, effort)
+        for name, value in (*product(["contact_normal"], ("worst", "velocity", "1 -2 0.5")), ("person_speed", 0.2))
+        for effort in (1.0, 0.2)
     ],
     ids=str,
 )
