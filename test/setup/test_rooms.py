@@ -18,6 +18,7 @@ FLOORS = (
     {"model"},
     {"reference"},
     {"kernel"},
+    {"identification"},
     {"safety", "impacts"},
     {"wire"},
     {"bags"},
@@ -33,7 +34,19 @@ FLOORS = (
 )
 """The rooms from the bottom up. Rooms on one floor do not import each other, except on the bottom floor."""
 
-PURE = {"values", "codes", "settings", "model", "reference", "iso15066", "kernel", "safety", "impacts", "cell"}
+PURE = {
+    "values",
+    "codes",
+    "settings",
+    "model",
+    "reference",
+    "iso15066",
+    "kernel",
+    "identification",
+    "safety",
+    "impacts",
+}
+PURE |= {"cell"}
 IMPURE = {"rclpy", "logging", "threading", "time", "datetime", "asyncio"}
 """Libraries that pure rooms do not import: ROS, loggers, threads, clocks. Time is an argument."""
 
@@ -42,7 +55,7 @@ IMPORTERS = {
     "dask": {"cli"},
     "distributed": {"cli"},
     "fsspec": {"url"},
-    "pinocchio": {"model", "reference", "studies"},
+    "pinocchio": {"identification", "model", "reference", "studies"},
     "mcap": {"bags"},
     "rosbags": {"bags"},
     "foxglove": {"nodes"},
