@@ -47,6 +47,7 @@ class Reason(IntEnum):
     ONLY_OTHER_JOINTS = 43  # values: duration [s], joint states of other devices; detail: their names
     OTHER_JOINTS_SINCE = 44  # the same, after joint states of the robot
     UNMODELLED_MOTION = 45  # detail: joint outside the model
+    UNSTATED_LOAD = 46  # detail: load by the torques, and the stated one
     NO_MASSES = 50
     NO_LUMPED_MASS = 51  # values: why there is none
     NO_FULL_MASS = 52
@@ -60,6 +61,7 @@ class Reason(IntEnum):
     PERSON_TOO_FAST = 64  # values: as TOO_FAST, with the person's speed and the one that the limit allows at rest [m/s]
     CLAMPED = 65  # values: force [N]
     TURNS = 66  # joint; values: angle [rad] or path [m]
+    HEAVIER_LOAD = 67  # detail: as UNSTATED_LOAD
     KERNEL_DISAGREES = 70  # detail: field
     TOO_SLOW = 71  # values: duration [s]
     STUCK = 72

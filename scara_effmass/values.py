@@ -67,6 +67,10 @@ def _rounded(value: float, digits: int, rounding: str) -> str:
     return f"{exact.quantize(Decimal(1).scaleb(-digits), rounding) + 0:f}"
 
 
+NO_VALUES: FloatArray = np.empty(0)
+NO_VALUES.flags.writeable = False
+
+
 class Payload(NamedTuple):
     """Load on the last link, unchecked: `mass` [kg], centre of mass `com` [m] and `inertia` about it [kg m2].
 
@@ -82,13 +86,15 @@ class Payload(NamedTuple):
 class JointState(NamedTuple):
     """One `sensor_msgs/JointState` as received, unchecked.
 
-    `position` and `velocity` are read-only, in [rad] or [m] and per second; either may be empty.
+    `position` and `velocity` are read-only, in [rad] or [m] and per second, `effort` in [N m] or [N] or in units of
+    the driver; each may be empty.
     """
 
     stamp_ns: int
     names: tuple[str, ...]
     position: FloatArray
     velocity: FloatArray
+    effort: FloatArray = NO_VALUES
 
 
 class Verdict(IntEnum):

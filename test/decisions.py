@@ -74,5 +74,5 @@ def states_of(
     source, times = Source(0, None, 0), np.full(len(decisions), log_time_ns)
     if positions is not None:
         rows = np.tile(list(positions.values()), (len(decisions), 1))
-        source = Source(0, JointStateBlock(times, times, tuple(positions), rows, np.zeros_like(rows)), 0)
+        source = Source(0, JointStateBlock(times, times, tuple(positions), rows, np.zeros_like(rows), rows[:, :0]), 0)
     return AssessedStates(times, assessments_of(*decisions), [source], lambda names: names)

@@ -94,7 +94,8 @@ class AssessedStates:
         if block is None:
             return None
         names = self.names_of(block.names)
-        return JointState(int(block.stamp_ns[index]), names, block.position[index], block.velocity[index])
+        rows = block.position[index], block.velocity[index], block.effort[index]
+        return JointState(int(block.stamp_ns[index]), names, *rows)
 
     def positions(self, row: int) -> dict[str, float]:
         """Return the joint positions in `row` by name [rad, m]."""
@@ -217,7 +218,9 @@ def _admitted(
             stop = payloads.take(block.log_time_ns, row, min(len(block), row + size - count % size))
             rows = slice(row, stop)
             for part, measured in _parts(block, rows, velocity, velocities, monitor):
-                admitted = monitor.admit(block.names, stamps[part], clocks[part], block.position[part], measured)
+                admitted = monitor.admit(
+                    block.names, stamps[part], clocks[part], block.position[part], measured, block.effort[part]
+                )
                 if admitted is not None:
                     batch.append(_Part(admitted, block.log_time_ns[part], block, part.start))
                     count += part.stop - part.start

@@ -138,9 +138,9 @@ class DecodeFailure(NamedTuple):
 class JointStateBlock:
     """Consecutive JointStates (m,) of one topic with the same names; arrays are read-only.
 
-    `position` (m, n) is in [rad] or [m], `velocity` (m, k) per second, as received; n and k may be 0 and may differ
-    from the number of names. `log_time_ns` (m,) is the receive time, `stamp_ns` (m,) the header stamp.
-    `decode_failures` precede the first state; a block may consist of failures alone.
+    `position` (m, n) is in [rad] or [m], `velocity` (m, k) per second, `effort` (m, l) in [N m] or [N], as received; n,
+    k and l may be 0 and may differ from the number of names. `log_time_ns` (m,) is the receive time, `stamp_ns` (m,)
+    the header stamp. `decode_failures` precede the first state; a block may consist of failures alone.
     """
 
     log_time_ns: IntArray
@@ -148,6 +148,7 @@ class JointStateBlock:
     names: tuple[str, ...]
     position: FloatArray
     velocity: FloatArray
+    effort: FloatArray
     decode_failures: tuple[DecodeFailure, ...] = ()
 
     def __len__(self) -> int:
@@ -156,8 +157,9 @@ class JointStateBlock:
     def states(self) -> Iterator[JointState]:
         """Yield the states one by one, bit-identical to the output of `JointStateDecoder`."""
         names = self.names
-        for stamp_ns, position, velocity in zip(self.stamp_ns.tolist(), self.position, self.velocity, strict=True):
-            yield JointState(stamp_ns, names, position, velocity)
+        rows = zip(self.stamp_ns.tolist(), self.position, self.velocity, self.effort, strict=True)
+        for stamp_ns, position, velocity, effort in rows:
+            yield JointState(stamp_ns, names, position, velocity, effort)
 
 
 class BlockDecoder:
@@ -202,7 +204,7 @@ class BlockDecoder:
         if failures:
             empty = np.empty((0, 0))
             no_times = batch.log_time_ns[:0]
-            yield JointStateBlock(no_times, no_times, (), empty, empty, tuple(failures))
+            yield JointStateBlock(no_times, no_times, (), empty, empty, empty, tuple(failures))
 
 
 def leading(flags: NDArray[np.bool_]) -> int:
@@ -223,7 +225,8 @@ def _block(
     nanosec = _columns(rows, STAMP_AT + 4, 4, f"{order}u4")[:, 0].astype(np.int64)
     position = _columns(rows, layout.position_at, 8 * layout.position_count, f"{order}f8").astype(np.float64)
     velocity = _columns(rows, layout.velocity_at, 8 * layout.velocity_count, f"{order}f8").astype(np.float64)
-    block = JointStateBlock(log_time_ns.copy(), sec * NS + nanosec, names, position, velocity)
-    for array in (block.log_time_ns, block.stamp_ns, position, velocity):
+    effort = _columns(rows, layout.effort_at, 8 * layout.effort_count, f"{order}f8").astype(np.float64)
+    block = JointStateBlock(log_time_ns.copy(), sec * NS + nanosec, names, position, velocity, effort)
+    for array in (block.log_time_ns, block.stamp_ns, position, velocity, effort):
         array.flags.writeable = False
     return block

@@ -37,6 +37,10 @@ LEVER = 0.1
 """Standard deviation of the distance of the load from its joint before anything is known, as a share of the reach."""
 FRICTION = 0.1
 """That of the friction of a joint, as a share of its effort limit."""
+NOISE = 0.01
+"""Noise of the torque of a joint that has not moved yet, as a share of its effort limit."""
+TRIAL_SPEED, TRIAL_TIME_S = 0.2, 0.25
+"""Speed of a motion that could tell the mass, as a share of the largest one, and time to reach it [s]."""
 MAX_ERRORS = 4.0
 """Largest error of a torque constant, in its standard deviations, that the model explains."""
 MIN_TORQUE = 1e-6
@@ -50,11 +54,12 @@ _ITERATIONS = 4
 class PayloadEstimate(NamedTuple):
     """What the last link carries, by the last seconds of motion up to `stamp_ns`.
 
-    `mass` [kg] and `deviation` [kg], its standard deviation, are of all that the model counts as payload of parameters
-    and topic, and of what nobody stated; `stated` [kg] is the former. `moment` (3,) [kg m] is mass times CoM in the
-    frame of the last joint, of what nobody stated, with its `moment_deviations`. `is_observable`: half the interval is
-    within the uncertainty of the mass of the arm. `unfit` says why the torques do not fit the model, empty if they do:
-    then nothing is known. `friction` (n, 2) are f_c [N m, N] and f_v [N m s, N s/m]; `scale_errors` (n,) the e_j.
+    `mass` [kg] and `deviation` [kg], its standard deviation, are of tool and load, with what nobody stated; `stated`
+    [kg] is what the model counts as such. `moment` (3,) [kg m] is mass times CoM in the frame of the last joint, of
+    what nobody stated, with its `moment_deviations`. `is_observable`: half the interval is within the uncertainty of
+    the mass of the arm; otherwise the motion of `telling_joint` would narrow it most. `unfit` says why the torques do
+    not fit the model, empty if they do: then nothing is known. `friction` (n, 2) are f_c [N m, N] and f_v [N m s,
+    N s/m], `scale_errors` (n,) the e_j.
     """
 
     stamp_ns: int
@@ -64,6 +69,7 @@ class PayloadEstimate(NamedTuple):
     moment: FloatArray
     moment_deviations: FloatArray
     is_observable: bool
+    telling_joint: str
     unfit: str
     friction: FloatArray
     scale_errors: FloatArray
@@ -111,20 +117,26 @@ class PayloadEstimator:
         self._limits = robot.effort_limits
         self._blocks = deque([_Block(joints)], BLOCKS)
         self._was_resting = np.zeros(joints, np.bool_)
+        self._q = np.zeros(joints)
         self._intervals: list[tuple[FloatArray, FloatArray, FloatArray]] = []
 
     def add(self, end_ns: int, means: FloatArray) -> PayloadEstimate | None:
         """Take the `means` (6, n) of an interval that ended at `end_ns`; return a new estimate, None between them."""
         q, qd, qdd, torque = means[Q], means[QD], means[QDD], means[TORQUE]
-        robot, model = self._robot, self._robot.model
-        known = pin.rnea(model, self._data, q, qd, qdd) + robot.rotors.coupling @ qdd
-        y = pin.computeJointTorqueRegressor(model, self._data, q, qd, qdd)[:, -_PAYLOAD:]
-        self._intervals.append((np.column_stack((y, np.sign(qd), qd, known, torque)), means[LOWEST], means[HIGHEST]))
+        self._q = q
+        self._intervals.append((self._rows(q, qd, qdd, torque), means[LOWEST], means[HIGHEST]))
         if len(self._intervals) < INTERVALS_PER_ROW:
             return None
         rows, lowest, highest = (np.array(values) for values in zip(*self._intervals, strict=True))
         self._intervals.clear()
         return self._add_rows(end_ns, rows.mean(axis=0), lowest.min(axis=0), highest.max(axis=0))
+
+    def _rows(self, q: FloatArray, qd: FloatArray, qdd: FloatArray, torque: FloatArray) -> FloatArray:
+        """Return Y, sign(qd), qd, rnea and tau (n, p + 1) of each joint."""
+        model = self._robot.model
+        known = pin.rnea(model, self._data, q, qd, qdd) + self._robot.rotors.coupling @ qdd
+        y = pin.computeJointTorqueRegressor(model, self._data, q, qd, qdd)[:, -_PAYLOAD:]
+        return np.column_stack((y, np.sign(qd), qd, known, torque))
 
     def _add_rows(
         self, end_ns: int, rows: FloatArray, lowest: FloatArray, highest: FloatArray
@@ -175,18 +187,35 @@ class PayloadEstimator:
         if abs(errors[worst]) > MAX_ERRORS * self._effort_uncertainty:
             name = self._robot.joint_names[worst]
             unfit = f"the effort of {name} is {100 * errors[worst]:+.0f} % off the torque of the model"
+        is_observable = bool(Z_95 * deviations[0] <= self._observable)
+        noise = np.where(counts > 0.0, noise * inflation, (NOISE * scales) ** 2)
         return PayloadEstimate(
-            stamp_ns,
-            self._stated + solution[0],
-            float(deviations[0]),
-            self._stated,
-            solution[1:4],
-            deviations[1:4],
-            bool(Z_95 * deviations[0] <= self._observable),
-            unfit,
-            own[:, :2],
-            errors,
+            stamp_ns=stamp_ns,
+            mass=float(self._stated + solution[0]),
+            deviation=float(deviations[0]),
+            stated=self._stated,
+            moment=solution[1:4],
+            moment_deviations=deviations[1:4],
+            is_observable=is_observable,
+            telling_joint="" if is_observable else self._telling_joint(weighted, columns, noise, scales),
+            unfit=unfit,
+            friction=own[:, :2],
+            scale_errors=errors,
         )
+
+    def _telling_joint(self, weighted: FloatArray, columns: FloatArray, noise: FloatArray, scales: FloatArray) -> str:
+        """Return the joint whose motion for a second, to and fro at the present pose, tells the mass best."""
+        speeds = np.asarray(self._robot.model.velocityLimit)
+        speeds = TRIAL_SPEED * np.where((speeds > 0.0) & (speeds < np.inf), speeds, 1.0)
+        deviations = []
+        for j, speed in enumerate(speeds):
+            products = weighted.copy()
+            for v, a in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+                motion = speed * np.eye(len(speeds))[j]
+                row = self._rows(self._q, v * motion, a * motion / TRIAL_TIME_S, np.zeros(len(speeds)))[j]
+                products[j] += 0.25 * ROWS_PER_BLOCK / noise[j] * np.outer(row, row)
+            deviations.append(self._solve(columns.transpose(0, 2, 1) @ products @ columns, scales)[1][0, 0])
+        return self._robot.joint_names[int(np.argmin(deviations))]
 
     def _solve(self, products: FloatArray, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return mean and covariance of the parameters by `products` (n, p + 1, p + 1), already weighted."""

@@ -33,7 +33,7 @@ class Intervals:
         self._memory, self._stamps = np.zeros((9, len(periods))), np.zeros(3, np.int64)
 
     def add(self, stamps: IntArray, q: FloatArray, qd: FloatArray, torque: FloatArray) -> tuple[IntArray, FloatArray]:
-        """Return the stamps (K,) [ns] at which intervals ended and their means (K, 6, n).
+        """Return the joint states (K,) with which intervals ended, by number, and their means (K, 6, n).
 
         `stamps` (N,) [ns], `q`, `qd` and `torque` (N, n) are the next joint states. The mean of qdd is exact: the
         change of qd over the duration; the others are by the trapezoidal rule.
@@ -58,7 +58,7 @@ def fill_intervals(
     ends: IntArray,
     means: FloatArray,
 ) -> int:
-    """Write the intervals that end; return their number. `kept` are their first and last stamp and their length."""
+    """Write the rows with which intervals end; return their number. `kept` is first and last stamp and length."""
     found, joints = 0, q.shape[1]
     for row in range(len(stamps)):
         is_finite = True
@@ -91,7 +91,7 @@ def fill_intervals(
         duration_ns = kept[1] - kept[0]
         if kept[2] < MIN_STATES or duration_ns < INTERVAL_NS:
             continue
-        ends[found] = kept[1]
+        ends[found] = row
         for j in range(joints):
             seconds = 1e-9 * duration_ns
             means[found, Q, j] = memory[SUM_Q, j] / seconds

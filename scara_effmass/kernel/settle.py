@@ -17,6 +17,7 @@ from scara_effmass.kernel.records import CONTACT, ByteArray, Contact
 from scara_effmass.kernel.state import (
     CODE,
     DEBOUNCE,
+    DETAIL,
     HELD,
     LATCHED,
     MEMORY,
@@ -148,6 +149,10 @@ def settle(
                 debouncer.is_stale = 1
                 copy_reason(state.reason, debouncer.stale_reason)
             if state.is_admitted != 0:
+                if state.doubt != 0 and int(contact.verdict) == OK:
+                    contact.verdict = WARN
+                    set_reason(contact.reason, Reason.HEAVIER_LOAD, 0, 0.0, 0.0, 0.0)
+                    contact.reason[DETAIL] = state.doubt
                 if rules.is_assumed and int(contact.verdict) == OK:
                     contact.verdict = WARN
                     set_reason(contact.reason, Reason.ASSUMED, 0, 0.0, 0.0, 0.0)

@@ -22,7 +22,8 @@ class State:
 
     `reason` says why it is refused; that of an admitted one, which gap lies before it. `is_cleared`: the clock jumped
     back, so all that came before is forgotten. `is_watchdog`: it stands for none that came. `verdict`, `contact` (the
-    worst one), `allowable_speed` [m/s] and `speed_scaling` are those of all contacts.
+    worst one), `allowable_speed` [m/s] and `speed_scaling` are those of all contacts. `doubt` is the text that says why
+    it is not OK though it is admitted, 0 without one.
     """
 
     stamp_ns: int
@@ -38,6 +39,7 @@ class State:
     contact: int
     allowable_speed: float
     speed_scaling: float
+    doubt: int
 
 
 @dataclass

@@ -72,6 +72,13 @@ class Robot:
         return tuple(name for name in self.contact_frames if name not in self.hulls)
 
     @property
+    def last_link(self) -> str:
+        """Name of the link that the last joint carries; of a DH file, that of the joint."""
+        last = self.model.njoints - 1
+        links = (frame.name for frame in self.model.frames if frame.type == pin.BODY and frame.parentJoint == last)
+        return str(next(links, self.model.names[last]))
+
+    @property
     def revolute(self) -> tuple[bool, ...]:
         """Whether each joint is revolute (else prismatic)."""
         return tuple(joint.shortname().startswith("JointModelR") for joint in list(self.model.joints)[1:])

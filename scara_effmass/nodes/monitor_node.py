@@ -12,12 +12,13 @@ from collections.abc import Set as AbstractSet
 from contextlib import suppress
 from typing import Any
 
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import Inertia
+from geometry_msgs.msg import Inertia, Vector3
 from rclpy.clock import ClockChange, JumpHandle, JumpThreshold, TimeJump
 from rclpy.duration import Duration
 from rclpy.event_handler import QoSSubscriptionMatchedInfo
-from scara_effmass_msgs.msg import ContactStates
+from scara_effmass_msgs.msg import ContactStates, PayloadEstimate
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
@@ -41,6 +42,7 @@ from scara_effmass.nodes.robot_input import NO_DESCRIPTION, label, use_robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Assessments, Cause, Monitor, unknown_assessments
 from scara_effmass.safety.assumptions import RULES, deciding_mass, name_of
+from scara_effmass.safety.load_watch import Doubt
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.settings.loading import fixed
 from scara_effmass.values import Decision, Payload
@@ -75,7 +77,10 @@ class NodeSettings(parameters.NodeParameters, MonitorSettings):
 
 
 class MonitorNode(LifecycleBase):
-    """Subscribes to `joint_states`; publishes `contact_states`, `allowable_speed`, `speed_scaling`, `/diagnostics`."""
+    """Subscribes to `joint_states`; publishes `contact_states`, `speed_scaling`, `allowable_speed`, `payload_estimate`.
+
+    And `/diagnostics`.
+    """
 
     def __init__(self) -> None:
         """Declare the parameters. Raises SettingsError for an invalid one."""
@@ -113,6 +118,8 @@ class MonitorNode(LifecycleBase):
         self._no_robot_reason = ""
         self._payload: Payload | str = ""
         self._payload_publishers = 0
+        self._load_estimate: Any = None
+        self._load_doubt = Doubt()
         use_robot(self, lambda: self._settings, self._use_robot, self._refuse_robot, self._distrust_robot)
         qos = topics.verdict_qos(self._settings.timeout)
         scalar_qos = qos._replace(lifespan_s=topics.SCALAR_LIFESPAN_S)
@@ -120,6 +127,7 @@ class MonitorNode(LifecycleBase):
             (ContactStates, topics.CONTACT_STATES, qos),
             (Float64, topics.ALLOWABLE_SPEED, scalar_qos),
             (Float64, topics.SPEED_SCALING, scalar_qos),
+            (PayloadEstimate, topics.PAYLOAD_ESTIMATE, topics.DESCRIPTION_QOS),
         ):
             self._outputs[topic] = self.create_owned_publisher(message_type, topic, topic_qos)
         self._diagnostics = Diagnostics(self, self._statuses, self._settings.status_period)
@@ -277,8 +285,40 @@ class MonitorNode(LifecycleBase):
                     assessments = monitor.settle(late)
                 self._last_answer_ns = start_ns
                 self._publish(assessments)
+                self._publish_load(monitor)
                 received_ns = info["received_timestamp"]
                 self._latencies.add(time.time_ns() - received_ns, int(assessments.states["stamp_ns"][0]))
+
+    def _publish_load(self, monitor: Monitor) -> None:
+        """Publish the load by the torques where there is a new estimate, and log what it begins or ceases to doubt."""
+        watch, robot = monitor.load_watch, monitor.dynamics.robot
+        if watch.doubt != self._load_doubt:
+            self._load_doubt = watch.doubt
+            self.get_logger().warning(watch.doubt.text or f"load by the torques: {watch.text}")
+        if watch.estimate is self._load_estimate or watch.estimate is None:
+            return
+        self._load_estimate = estimate = watch.estimate
+        lower, upper = estimate.interval
+        message = PayloadEstimate(
+            mass=estimate.mass,
+            mass_lower=lower,
+            mass_upper=upper,
+            stated_mass=estimate.stated,
+            moment=Vector3(**dict(zip("xyz", estimate.moment.tolist(), strict=True))),
+            moment_deviation=Vector3(**dict(zip("xyz", estimate.moment_deviations.tolist(), strict=True))),
+            is_observable=estimate.is_observable and not estimate.unfit,
+            text=watch.text,
+            joint_names=robot.joint_names,
+            coulomb_friction=estimate.friction[:, 0].tolist(),
+            viscous_friction=estimate.friction[:, 1].tolist(),
+            effort_error=estimate.scale_errors.tolist(),
+        )
+        seconds, nanoseconds = divmod(estimate.stamp_ns, 1_000_000_000)
+        message.header.stamp = Time(sec=seconds, nanosec=nanoseconds)
+        message.header.frame_id = robot.last_link
+        with self._output_lock:
+            if self._publishing:
+                self._outputs[topics.PAYLOAD_ESTIMATE].publish(message)
 
     def _on_command(self, data: bytes, info: dict[str, Any]) -> None:
         with self._monitor_lock:

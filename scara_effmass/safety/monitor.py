@@ -7,6 +7,7 @@ One path for one joint state and for many: admission, numbers, debouncing and la
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from struct import Struct
 from typing import NamedTuple
 
@@ -34,15 +35,16 @@ from scara_effmass.kernel.state import (
     VALUES,
     WORDS,
 )
-from scara_effmass.model.joint_acceleration import max_joint_accelerations
+from scara_effmass.model.joint_values import max_joint_accelerations
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety.assessments import Assessments, Records, unknown_numbers
 from scara_effmass.safety.assumptions import assumptions_of
 from scara_effmass.safety.joint_state_adapter import MAX_LAYOUTS, JointStateAdapter, Layout, suggested_map
+from scara_effmass.safety.load_watch import Doubt, LoadWatch
 from scara_effmass.safety.reasons import ReasonTexts
 from scara_effmass.safety.second_channel import ReferenceChannel
 from scara_effmass.settings import WHOLE_ARM, MonitorSettings
-from scara_effmass.values import Decision, FloatArray, JointState, Payload, Verdict
+from scara_effmass.values import NO_VALUES, Decision, FloatArray, JointState, Payload, Verdict
 
 CHECK_INTERVAL = 2000
 """Number of joint states of which one is compared with the reference, at one contact; the contacts take turns."""
@@ -59,7 +61,7 @@ PAYLOAD, COMMANDS = "payload", "joint_commands"
 """Inputs that can be distrusted, beside those of the node."""
 HEAD, REASON = Struct("3q"), Struct(f"{REASON_SIZE}d")
 """Layout of the first three fields of a State, and of its reason."""
-NO_VALUES = (0.0,) * (REASON_SIZE - DETAIL - 1)
+NO_NUMBERS = (0.0,) * (REASON_SIZE - DETAIL - 1)
 REASON_AT: int = (STATE.fields or {"reason": (STATE, 0)})["reason"][1]
 REASON_BYTES, NO_REASON = slice(REASON_AT, REASON_AT + REASON.size), bytes(REASON.size)
 
@@ -127,6 +129,7 @@ class Monitor:
         )
         self.ignored = 0
         self._payload: Payload | None = None
+        self._load_watch = LoadWatch(dynamics, settings)
         self._distrusted: dict[str, tuple[Reason, str]] = {}
         self._command_number, self._command_conflict_ns = NO_SEQUENCE, 0
         self._other_names: tuple[str, ...] = ()
@@ -220,6 +223,13 @@ class Monitor:
         self._normal = f"{settings.contact_normal} {settings.contact_normal_frame}".strip()
         self._points = self.dynamics.contact_points
         self._single = self._new_pending(1)
+        if not self._load_watch.is_of(self.dynamics, settings):
+            self._load_watch = LoadWatch(self.dynamics, settings)
+
+    @property
+    def load_watch(self) -> LoadWatch:
+        """What the torques of the joints say of the load."""
+        return self._load_watch
 
     @property
     def core(self) -> str:
@@ -302,6 +312,7 @@ class Monitor:
         forget_all(*self._memory_bytes[1:3])
         self._adapter.forget()
         self._others.forget()
+        self._load_watch.forget()
         self._forget_verdicts()
 
     def _forget_verdicts(self) -> None:
@@ -403,8 +414,8 @@ class Monitor:
             pending.states.data[REASON_BYTES] = NO_REASON
         else:
             detail = self._detail(layout.detail)
-            REASON.pack_into(pending.states.data, REASON_BYTES.start, layout.reason, layout.joint, detail, *NO_VALUES)
-        self._read(pending, layout, state.position, state.velocity)
+            REASON.pack_into(pending.states.data, REASON_BYTES.start, layout.reason, layout.joint, detail, *NO_NUMBERS)
+        self._read(pending, layout, state.position, state.velocity, state.effort)
         self.compute(pending)
         self._until_check -= 1
         if self._until_check <= 0:
@@ -429,11 +440,18 @@ class Monitor:
         self._use_dynamics()
 
     def admit(
-        self, names: tuple[str, ...], stamps: IntArray, clocks: IntArray, position: FloatArray, velocity: FloatArray
+        self,
+        names: tuple[str, ...],
+        stamps: IntArray,
+        clocks: IntArray,
+        position: FloatArray,
+        velocity: FloatArray,
+        effort: FloatArray = NO_VALUES,
     ) -> Pending | None:
         """Return N joint states with the same `names`, admitted or refused; None if they are of another device.
 
-        `stamps` and `clocks` (N,) are header stamps and times of arrival [ns], `position` and `velocity` (N, k).
+        `stamps` and `clocks` (N,) are header stamps and times of arrival [ns]; `position`, `velocity` and `effort` are
+        (N, k), the latter of any other length if there are none.
         """
         layout = self._adapter.layout(names)
         if layout.is_foreign:
@@ -443,7 +461,7 @@ class Monitor:
         records = pending.records
         records["stamp_ns"], records["now_ns"], records["sequence"] = stamps, clocks, NO_SEQUENCE
         records["reason"][:, : DETAIL + 1] = layout.reason, layout.joint, self._detail(layout.detail)
-        self._read(pending, layout, position, velocity)
+        self._read(pending, layout, position, velocity, effort)
         return pending
 
     def compute(self, pending: Pending) -> None:
@@ -540,7 +558,9 @@ class Monitor:
 
         return self._others.watch(numbers, clocks, of_others(position), of_others(velocity))
 
-    def _read(self, pending: Pending, layout: Layout, position: FloatArray, velocity: FloatArray) -> None:
+    def _read(
+        self, pending: Pending, layout: Layout, position: FloatArray, velocity: FloatArray, effort: FloatArray
+    ) -> None:
         """Put the joint states in order, and admit or refuse them."""
         pending.motions[:, 3] = 0.0  # the one of the single joint state is used again
         if layout.reason is not Reason.NONE:
@@ -555,6 +575,29 @@ class Monitor:
             self._refuse_unmodelled(pending.records, layout, position, velocity)
         rules, memory, joints, _ = self._memory_bytes
         admit(pending.states, pending.motions, rules, memory, joints)
+        if layout.reason is Reason.NONE:
+            self._watch_load(pending, layout, effort)
+
+    def _watch_load(self, pending: Pending, layout: Layout, effort: FloatArray) -> None:
+        """Doubt or refuse the admitted joint states while the torques show a heavier load than the stated one."""
+        records, watch = pending.records, self._load_watch
+        before = watch.doubt
+        changes: list[tuple[int, Doubt]] = []
+        if effort.shape[-1] == len(layout.names) and not watch.why_not:
+            rows = np.flatnonzero(records["is_admitted"])
+            torque = effort.reshape(len(records), -1)[np.ix_(rows, layout.order)]
+            found = watch.watch(records["stamp_ns"][rows], pending.q[rows], pending.qd[rows], torque)
+            changes = [(int(rows[row]), doubt) for row, doubt in found]
+        records["doubt"] = 0
+        for (start, doubt), (stop, _) in pairwise([(0, before), *changes, (len(records), Doubt())]):
+            if doubt.reason:
+                part, text = records[start:stop], self._detail(doubt.text)
+                if doubt.reason is Reason.HEAVIER_LOAD:
+                    part["doubt"] = text
+                else:
+                    admitted = part["is_admitted"] == 1
+                    part["is_admitted"][admitted] = 0
+                    part["reason"][np.ix_(admitted, [CODE, DETAIL])] = doubt.reason, text
 
     def _refuse_unmodelled(self, records: Records, layout: Layout, position: FloatArray, velocity: FloatArray) -> None:
         """Give the reason of joint states during which a joint outside the model moves."""

@@ -86,6 +86,8 @@ TEXTS = {
     Reason.LIGHT_MODEL: "the {choice} mass of {v[4]:.3g} kg is below the {best} model's {v[5]:.3g} kg",
     Reason.ASSUMED: "{assumed}",
     Reason.CLAMPED: "the drives can clamp with {v[0]:.0f} N, above the {v[1]:.0f} N of {region}, at any speed",
+    Reason.UNSTATED_LOAD: "{detail}: the robot is heavier than its masses with `mass_uncertainty`",
+    Reason.HEAVIER_LOAD: "{detail}",
     Reason.TURNS: (
         "{joint} accelerates: until the peak of a contact it would turn {v[0]:.2g} {unit} further than at constant "
         "velocity, more than the force is computed for"

@@ -89,6 +89,8 @@ REMEDIES = {
     Reason.LIGHT_MODEL: "choose effective_mass_model auto, full or largest",
     Reason.ASSUMED: "state it by its option or in the robot file; or accept it by its name in `accept_assumptions`",
     Reason.CLAMPED: "lower the effort limits, or set `external_force_limit` of a safety function",
+    Reason.UNSTATED_LOAD: "state what the robot carries: `payload_mass` and `payload_com`, or `payload_topic`",
+    Reason.HEAVIER_LOAD: "state what the robot carries: `payload_mass` and `payload_com`, or `payload_topic`",
     Reason.TURNS: "lower the acceleration of that joint, or leave out soft body regions that it cannot reach",
     Reason.KERNEL_DISAGREES: "report it; the monitor goes on with the reference alone, or start it again",
     Reason.TOO_SLOW: LOAD,

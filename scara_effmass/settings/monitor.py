@@ -215,6 +215,15 @@ class MonitorSettings(FrozenSettings):
         "SCARA, the heavier of lumped and iso of another arm",
     )
     lumping: LumpingSettings = LumpingSettings()
+    effort_uncertainty: Fraction = fixed(
+        0.03,
+        "relative standard deviation of the effort in joint states from the joint torque (errors of torque constants); "
+        "0: no load is estimated from it",
+    )
+    torque_constants: tuple[str, ...] = fixed(
+        (),
+        'torque per unit of effort, "joint=value", where the driver reports a motor current [N m/A, N/A]; 1 by default',
+    )
     mass_cap: float = tunable(
         1000.0, "upper bound of the published effective masses, reached near singular poses [kg]", ge=100.0, le=1e6
     )

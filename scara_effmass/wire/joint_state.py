@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scara_effmass.values import JointState
+from scara_effmass.values import NO_VALUES, FloatArray, JointState
 from scara_effmass.wire.cdr import FRAME_AT, NS, Cursor, encode
 
 MAX_NAMES = 1000
@@ -32,6 +32,8 @@ class JointStateLayout:
     velocity_at: int
     velocity_count: int
     effort_count_at: int
+    effort_at: int
+    effort_count: int
     fixed: tuple[tuple[int, int], ...]
 
 
@@ -50,7 +52,7 @@ def joint_state_layout(data: bytes) -> JointStateLayout:
     velocity_count_at = cursor.at
     velocity_at, velocity_count = cursor.skip_numbers("velocity")
     effort_count_at = cursor.at
-    cursor.skip_numbers("effort")
+    effort_at, effort_count = cursor.skip_numbers("effort")
     cursor.end("effort")
     return JointStateLayout(
         byte_order=cursor.byte_order,
@@ -63,13 +65,15 @@ def joint_state_layout(data: bytes) -> JointStateLayout:
         velocity_at=velocity_at,
         velocity_count=velocity_count,
         effort_count_at=effort_count_at,
+        effort_at=effort_at,
+        effort_count=effort_count,
         fixed=((0, 2), *cursor.fixed),
     )
 
 
 def joint_state_message(state: JointState, frame_id: str = "") -> bytes:
-    """Return the CDR bytes of a JointState without effort."""
-    return encode("JointState", {**state._asdict(), "frame_id": frame_id, "effort": ()})
+    """Return the CDR bytes of a JointState."""
+    return encode("JointState", {**state._asdict(), "frame_id": frame_id})
 
 
 class JointStateDecoder:
@@ -85,7 +89,7 @@ class JointStateDecoder:
     def decode(self, data: bytes) -> JointState:
         """Return the JointState in `data` (CDR of either byte order). Raises DecodeError.
 
-        Its arrays are read-only, aligned float64 in native byte order. Effort is checked, but not decoded.
+        Its arrays are read-only, aligned float64 in native byte order.
         """
         if len(data) != self._size:
             self._learn_layout(data)
@@ -99,16 +103,21 @@ class JointStateDecoder:
             self._learn_layout(data)
             order, sec, nanosec, prefix, velocity_count, effort_count = self._unpack(data)
         # One copy holds position and velocity; within the message they are not aligned.
-        values = np.frombuffer(data[self._first : self._last], self._dtype)
-        if not self._native:
-            values = values.astype(np.float64)
-            values.flags.writeable = False
+        values = self._numbers(data[self._first : self._last])
         return JointState(
             sec * NS + nanosec,
             self._names,
             values[: self._position_count],
             values[self._velocity_first : self._velocity_last],
+            self._numbers(data[self._efforts]) if effort_count else NO_VALUES,
         )
+
+    def _numbers(self, data: bytes) -> FloatArray:
+        values = np.frombuffer(data, self._dtype)
+        if not self._native:
+            values = values.astype(np.float64)
+            values.flags.writeable = False
+        return values
 
     def _learn_layout(self, data: bytes) -> None:
         self._size = -1
@@ -132,4 +141,5 @@ class JointStateDecoder:
         self._position_count = layout.position_count
         self._velocity_first = (layout.velocity_at - self._first) // 8 if layout.velocity_count else 0
         self._velocity_last = self._velocity_first + layout.velocity_count
+        self._efforts = slice(layout.effort_at, layout.effort_at + 8 * layout.effort_count)
         self._size = layout.size

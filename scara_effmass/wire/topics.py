@@ -22,6 +22,8 @@ ALLOWABLE_SPEED = "allowable_speed"
 """Smallest allowable speed of the contact points [m/s], 0 under UNKNOWN."""
 SPEED_SCALING = "speed_scaling"
 """Allowable speed over the present one, or over `reference_speed`, 0 to 1; 0 under UNKNOWN."""
+PAYLOAD_ESTIMATE = "payload_estimate"
+"""Load of the robot by the torques of its joints, with its interval, about once per second of motion."""
 SPEED_SCALING_INPUT = "joint_trajectory_controller/speed_scaling_input"
 """Input of the joint trajectory controller, under its usual name; remap it for another."""
 FORCE = "force"
@@ -39,7 +41,7 @@ MARKERS = "effective_mass_markers"
 READINESS = "/scara_effmass/readiness"
 """Topic on which every node reports to a replay whether it is ready."""
 
-MONITOR_OUTPUTS = (CONTACT_STATES, ALLOWABLE_SPEED, SPEED_SCALING)
+MONITOR_OUTPUTS = (CONTACT_STATES, ALLOWABLE_SPEED, SPEED_SCALING, PAYLOAD_ESTIMATE)
 FORCE_OUTPUTS = (FORCE, IMPACT, WRENCH)
 """Outputs of `daq_node`; channels after the first publish one level below, as force/ai1."""
 RECORDED = (

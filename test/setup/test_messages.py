@@ -48,6 +48,10 @@ CONTRACT = {
         "region_force limit_force exceeds_limit series held_force held_limit held_region"
     ),
     "NodeReadiness": "header node active use_sim_time peers",
+    "PayloadEstimate": (
+        "header mass mass_lower mass_upper stated_mass moment moment_deviation is_observable text joint_names "
+        "coulomb_friction viscous_friction effort_error"
+    ),
     "RunInfo": (
         "header configuration obstacle_mass impact_position plate_normal guide_direction simulated note "
         "contact_stiffness contact_exponent true_onset true_speed true_effective_mass true_peak_force true_duration "

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from scara_effmass.errors import RobotError
-from scara_effmass.model.joint_acceleration import max_joint_accelerations
+from scara_effmass.model.joint_values import max_joint_accelerations
 
 JOINTS = ("a", "b")
 MOVEIT = """\

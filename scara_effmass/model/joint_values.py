@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Largest accelerations of the joints that settings state, or a joint limits file as MoveIt writes it."""
+"""Numbers that settings state per joint; largest accelerations also by a joint limits file as MoveIt writes it."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from scara_effmass.errors import RobotError
 from scara_effmass.input_files import read_yaml
 from scara_effmass.values import FloatArray
 
+_VALUE = 'must be "joint=value" with a value of at least 0'
 _RULE = 'must be "joint=value" with a value of at least 0 rad/s2 or m/s2, or a joint limits file'
 
 
@@ -28,17 +29,22 @@ def max_joint_accelerations(entries: Sequence[str], joints: Sequence[str]) -> Fl
     stated: dict[str, float] = {}
     for entry in (entry for entry in entries if "=" not in entry):
         stated |= {name: value for name, value in _of_file(Path(entry)).items() if name in joints}
-    seen = set()
-    for entry in (entry for entry in entries if "=" in entry):
-        name, _, text = (part.strip() for part in entry.partition("="))
-        if name not in joints or name in seen:
-            rule = f"must be one of {', '.join(joints)}" if name not in joints else "must be stated once"
-            raise RobotError(f"max_joint_acceleration = {entry!r}: joint {rule}")
-        seen.add(name)
-        stated[name] = _number(text, f"max_joint_acceleration = {entry!r}")
+    stated |= joint_values([entry for entry in entries if "=" in entry], joints, "max_joint_acceleration", _RULE)
     if missing := [name for name in joints if name not in stated]:
         raise RobotError(f"max_joint_acceleration: must be stated for every joint: it is missing for {missing[0]}")
     return np.array([stated[name] for name in joints])
+
+
+def joint_values(entries: Sequence[str], joints: Sequence[str], setting: str, rule: str = _VALUE) -> dict[str, float]:
+    """Return the number of each joint that `entries` "joint=value" state. Raises RobotError for a wrong one."""
+    stated: dict[str, float] = {}
+    for entry in entries:
+        name, _, text = (part.strip() for part in entry.partition("="))
+        if name not in joints or name in stated:
+            problem = f"must be one of {', '.join(joints)}" if name not in joints else "must be stated once"
+            raise RobotError(f"{setting} = {entry!r}: joint {problem}")
+        stated[name] = _number(text, f"{setting} = {entry!r}", rule)
+    return stated
 
 
 def _of_file(path: Path) -> dict[str, float]:
@@ -51,15 +57,15 @@ def _of_file(path: Path) -> dict[str, float]:
     for name, limit in limits.items():
         if isinstance(limit, dict) and limit.get("has_acceleration_limits"):
             where = f"{path}: joint_limits: {name}: max_acceleration = {limit.get('max_acceleration')!r}"
-            accelerations[str(name)] = _number(limit.get("max_acceleration"), where)
+            accelerations[str(name)] = _number(limit.get("max_acceleration"), where, _RULE)
     return accelerations
 
 
-def _number(value: object, where: str) -> float:
+def _number(value: object, where: str, rule: str) -> float:
     try:
         number = float(value) if isinstance(value, (str, int, float)) and not isinstance(value, bool) else math.nan
     except ValueError:
         number = math.nan
     if not 0.0 <= number < math.inf:
-        raise RobotError(f"{where}: {_RULE}")
+        raise RobotError(f"{where}: {rule}")
     return number
