@@ -45,10 +45,12 @@ MAX_ERRORS = 4.0
 """Largest error of a torque constant, in its standard deviations, that the model explains."""
 MIN_TORQUE = 1e-6
 """Smallest torque that is told from 0 [N m, N]."""
+MIN_SIGNIFICANCE = 5.0
+"""Standard deviations by which a contradiction to the model must differ from noise."""
 _PAYLOAD, _OWN = 10, 3
 """Numbers of parameters: of the load, and of each joint."""
 _SIZE = _PAYLOAD + _OWN
-_ITERATIONS = 4
+_ITERATIONS, _FREE_ITERATIONS = 5, 2
 
 
 class PayloadEstimate(NamedTuple):
@@ -169,11 +171,13 @@ class PayloadEstimator:
         scales = np.maximum(np.where(np.isfinite(self._limits), self._limits, torques), MIN_TORQUE)
         least = (1e-6 * scales) ** 2
         friction, noise, inflation = FRICTION * scales, np.maximum(torques**2, least), np.ones(joints)
-        solution = np.zeros(_PAYLOAD + _OWN * joints)
-        for _ in range(_ITERATIONS):
+        solution, unfit = np.zeros(_PAYLOAD + _OWN * joints), ""
+        for iteration in range(_ITERATIONS):
+            # First as if the torque constants were unknown: else another unit passes for noise.
+            uncertainty = self._effort_uncertainty if iteration >= _FREE_ITERATIONS else 1.0
             weighted = products / (noise * inflation)[:, None, None] + resting / (noise + friction**2)[:, None, None]
             columns = self._columns(solution)
-            solution, covariance = self._solve(columns.transpose(0, 2, 1) @ weighted @ columns, scales)
+            solution, covariance = self._solve(columns.transpose(0, 2, 1) @ weighted @ columns, scales, uncertainty)
             residual = self._residual(solution)
             squares = np.einsum("ji,jik,jk->j", residual, products, residual)
             noise = np.maximum(squares / np.maximum(counts - _OWN, 1.0), least)
@@ -181,18 +185,17 @@ class PayloadEstimator:
             own = solution[_PAYLOAD:].reshape(joints, _OWN)
             deviations = np.sqrt(np.diag(covariance))
             friction = np.hypot(own[:, 0], deviations[_PAYLOAD::_OWN])
-        errors = own[:, 2]
-        worst = int(np.argmax(np.abs(errors)))
-        unfit = ""
-        if abs(errors[worst]) > MAX_ERRORS * self._effort_uncertainty:
-            name = self._robot.joint_names[worst]
-            unfit = f"the effort of {name} is {100 * errors[worst]:+.0f} % off the torque of the model"
-        is_observable = bool(Z_95 * deviations[0] <= self._observable)
+            if iteration == _FREE_ITERATIONS - 1:
+                unfit = self._unfit(own[:, 2], deviations[_PAYLOAD + 2 :: _OWN])
+        mass, deviation = float(self._stated + solution[0]), float(deviations[0])
+        if mass + MIN_SIGNIFICANCE * deviation < 0.0:
+            unfit = unfit or f"the torques are those of a load of {mass:.2f} kg"
+        is_observable = Z_95 * deviation <= self._observable
         noise = np.where(counts > 0.0, noise * inflation, (NOISE * scales) ** 2)
         return PayloadEstimate(
             stamp_ns=stamp_ns,
-            mass=float(self._stated + solution[0]),
-            deviation=float(deviations[0]),
+            mass=mass,
+            deviation=deviation,
             stated=self._stated,
             moment=solution[1:4],
             moment_deviations=deviations[1:4],
@@ -200,8 +203,17 @@ class PayloadEstimator:
             telling_joint="" if is_observable else self._telling_joint(weighted, columns, noise, scales),
             unfit=unfit,
             friction=own[:, :2],
-            scale_errors=errors,
+            scale_errors=own[:, 2],
         )
+
+    def _unfit(self, errors: FloatArray, deviations: FloatArray) -> str:
+        """Return which torque constant is further off than stated, by a fit that leaves it free; empty if none is."""
+        excess = np.abs(errors) - MIN_SIGNIFICANCE * deviations - MAX_ERRORS * self._effort_uncertainty
+        worst = int(np.argmax(excess))
+        if not excess[worst] > 0.0:
+            return ""
+        name = self._robot.joint_names[worst]
+        return f"the effort of {name} is {100 * errors[worst]:+.0f} % off the torque of the model"
 
     def _telling_joint(self, weighted: FloatArray, columns: FloatArray, noise: FloatArray, scales: FloatArray) -> str:
         """Return the joint whose motion for a second, to and fro at the present pose, tells the mass best."""
@@ -214,13 +226,15 @@ class PayloadEstimator:
                 motion = speed * np.eye(len(speeds))[j]
                 row = self._rows(self._q, v * motion, a * motion / TRIAL_TIME_S, np.zeros(len(speeds)))[j]
                 products[j] += 0.25 * ROWS_PER_BLOCK / noise[j] * np.outer(row, row)
-            deviations.append(self._solve(columns.transpose(0, 2, 1) @ products @ columns, scales)[1][0, 0])
+            deviations.append(
+                self._solve(columns.transpose(0, 2, 1) @ products @ columns, scales, self._effort_uncertainty)[1][0, 0]
+            )
         return self._robot.joint_names[int(np.argmin(deviations))]
 
-    def _solve(self, products: FloatArray, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _solve(self, products: FloatArray, scales: FloatArray, uncertainty: float) -> tuple[FloatArray, FloatArray]:
         """Return mean and covariance of the parameters by `products` (n, p + 1, p + 1), already weighted."""
         joints = len(products)
-        own = np.column_stack((FRICTION * scales, FRICTION * scales, np.full(joints, self._effort_uncertainty)))
+        own = np.column_stack((FRICTION * scales, FRICTION * scales, np.full(joints, uncertainty)))
         deviations = np.concatenate((self._prior, own.ravel()))
         information, right = np.zeros((len(deviations),) * 2), np.zeros(len(deviations))
         for j in range(joints):

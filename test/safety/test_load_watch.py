@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A load that nobody stated, seen in the torques of simulated joint states."""
+
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from scara_effmass.codes import Reason
+from scara_effmass.errors import RobotError
+from scara_effmass.kernel.records import IntArray
+from scara_effmass.kernel.state import CODE
+from scara_effmass.model.load import load_robot
+from scara_effmass.reference import RobotDynamics
+from scara_effmass.safety import Monitor
+from scara_effmass.safety.assessments import Assessments
+from scara_effmass.settings import MonitorSettings
+from scara_effmass.values import FloatArray, JointState, Verdict
+
+UR10 = Path(__file__).parents[2] / "config/robots/ur10_robot.urdf"
+SETTINGS = MonitorSettings(
+    contact_points=("ee_link",),
+    accept_assumptions=("payload", "rotor_inertia", "drives", "contact_area", "contact_surface"),
+)
+RATE_HZ, SECONDS = 100, 6.0
+START_NS = 1_000_000_000
+
+
+class Motion(NamedTuple):
+    """Simulated joint states."""
+
+    names: tuple[str, ...]
+    stamps: IntArray
+    q: FloatArray
+    qd: FloatArray
+    effort: FloatArray
+
+
+def motion(load: float, *, scale: float = 1.0, noise: float = 0.2, moves: float = 1.0) -> Motion:
+    """Simulate a UR10 with a `load` [kg] 5 cm beyond its flange; `scale` turns torque into effort."""
+    robot = load_robot(UR10, SETTINGS)
+    model, t = robot.model.copy(), np.arange(0.0, SECONDS, 1.0 / RATE_HZ)
+    model.appendBodyToJoint(
+        6, pin.Inertia(load, np.array([0.0, 0.14, 0.0]), 1e-3 * load * np.eye(3)), pin.SE3.Identity()
+    )
+    data, w = model.createData(), moves * np.array([0.5, 0.8, 1.1, 1.7, 1.4, 2.0])
+    middle, size = np.array([0.0, -1.2, 1.0, -0.5, 0.7, 0.0]), np.array([0.5, 0.4, 0.5, 0.6, 0.6, 0.8])
+    phase = np.outer(t, w) + np.arange(6)
+    q, qd, qdd = middle + size * np.sin(phase), size * w * np.cos(phase), -size * w**2 * np.sin(phase)
+    torque = np.array([pin.rnea(model, data, *row) for row in zip(q, qd, qdd, strict=True)])
+    torque += np.array([4.0, 4.0, 2.0, 0.5, 0.5, 0.5]) * (np.sign(qd) + 0.3 * qd)
+    torque *= 1.0 + np.array([0.02, -0.01, 0.03, -0.02, 0.01, -0.03])
+    torque += noise * np.random.default_rng(3).normal(size=torque.shape)
+    return Motion(robot.joint_names, START_NS + np.round(1e9 * t).astype(np.int64), q, qd, scale * torque)
+
+
+def monitor(**changes: object) -> Monitor:
+    settings = SETTINGS.model_copy(update=changes)
+    return Monitor(RobotDynamics(load_robot(UR10, settings)), settings)
+
+
+def assessed(watcher: Monitor, states: Motion, start: int, stop: int) -> Assessments:
+    rows = slice(start, stop)
+    numbers = states.q[rows], states.qd[rows], states.effort[rows]
+    pending = watcher.admit(states.names, states.stamps[rows], states.stamps[rows], *numbers)
+    assert pending is not None
+    watcher.compute(pending)
+    return watcher.settle(pending)
+
+
+def codes(watcher: Monitor, states: Motion) -> set[int]:
+    """Return the codes of the reasons of all joint states."""
+    contacts = assessed(watcher, states, 0, len(states.stamps)).contacts
+    return {int(code) for code in contacts["reason"][..., CODE].ravel()}
+
+
+def test_unstated_load_is_found_and_named() -> None:
+    watcher = monitor()
+    assert Reason.UNSTATED_LOAD in codes(watcher, motion(2.0))
+    estimate = watcher.load_watch.estimate
+    assert estimate is not None
+    lower, upper = estimate.interval
+    assert lower < 2.0 < upper < 2.4
+    last, now_ns = motion(2.0), START_NS + round(1e9 * SECONDS)
+    decision = watcher.assess(JointState(now_ns, last.names, last.q[-1], last.qd[-1], last.effort[-1]), now_ns)
+    assert decision is not None
+    (contact,) = decision.contacts
+    assert contact.verdict is Verdict.UNKNOWN
+    assert contact.allowable_speed == 0.0
+    assert contact.reason.startswith("the torques show a load of ")
+    assert "not the stated 0.00 kg" in contact.reason
+
+
+def test_stated_load_is_no_doubt() -> None:
+    """Nor is one that is stated heavier than it is: `payload_mass` is the heaviest load."""
+    for stated in (2.0, 5.0):
+        watcher = monitor(payload_mass=stated, payload_com=(0.0, 0.0, 0.05))
+        assert not {Reason.UNSTATED_LOAD, Reason.HEAVIER_LOAD} & codes(watcher, motion(2.0))
+        estimate = watcher.load_watch.estimate
+        assert estimate is not None
+        assert estimate.stated == stated
+        assert estimate.interval[0] < 2.0 < estimate.interval[1]
+
+
+def test_small_unstated_load_warns() -> None:
+    """It adds less than `mass_uncertainty` to every mass: the speed is still not too high."""
+    watcher = monitor(mass_uncertainty=0.9)
+    found = codes(watcher, motion(1.0))
+    assert Reason.HEAVIER_LOAD in found
+    assert Reason.UNSTATED_LOAD not in found
+    assert watcher.verdicts[Verdict.OK] < len(motion(1.0).stamps)
+
+
+def test_no_load_and_no_effort_raise_no_doubt() -> None:
+    watcher = monitor()
+    assert not {Reason.UNSTATED_LOAD, Reason.HEAVIER_LOAD} & codes(watcher, motion(0.0))
+    assert "0.0" in watcher.load_watch.text
+    without = motion(2.0)._replace(effort=np.empty((len(motion(2.0).stamps), 0)))
+    watcher = monitor()
+    assert Reason.UNSTATED_LOAD not in codes(watcher, without)
+    assert watcher.load_watch.text.startswith("unknown: it needs joint states with effort")
+
+
+def test_motor_current_is_no_torque_unless_stated() -> None:
+    watcher = monitor()
+    assert Reason.UNSTATED_LOAD not in codes(watcher, motion(2.0, scale=0.1))
+    assert "off the torque of the model" in watcher.load_watch.text
+    constants = tuple(f"{name}=10" for name in motion(0.0).names)
+    assert Reason.UNSTATED_LOAD in codes(monitor(torque_constants=constants), motion(2.0, scale=0.1))
+
+
+def test_switched_off() -> None:
+    watcher = monitor(effort_uncertainty=0.0)
+    assert Reason.UNSTATED_LOAD not in codes(watcher, motion(2.0))
+    assert watcher.load_watch.text == "unknown: effort_uncertainty is 0"
+
+
+@pytest.mark.parametrize("entry", ["elbow=1", "elbow_joint=x", "elbow_joint=-1"])
+def test_bad_torque_constants_are_refused(entry: str) -> None:
+    with pytest.raises(RobotError, match=f"torque_constants = '{entry}'"):
+        monitor(torque_constants=(entry,))
+
+
+@settings(max_examples=5, deadline=None)
+@given(st.lists(st.integers(1, int(RATE_HZ * SECONDS) - 1), max_size=8, unique=True))
+def test_batches_do_not_matter(cuts: list[int]) -> None:
+    states = motion(1.5)
+    whole, parts = monitor(), monitor()
+    expected = assessed(whole, states, 0, len(states.stamps))
+    edges = [0, *sorted(cuts), len(states.stamps)]
+    found = [assessed(parts, states, start, stop) for start, stop in pairwise(edges)]
+    assert np.concatenate([part.contacts.view(np.uint8) for part in found]).tobytes() == expected.contacts.tobytes()
+    assert parts.load_watch.text == whole.load_watch.text
