@@ -45,12 +45,16 @@ MAX_ERRORS = 4.0
 """Largest error of a torque constant, in its standard deviations, that the model explains."""
 MIN_TORQUE = 1e-6
 """Smallest torque that is told from 0 [N m, N]."""
+SINGULAR = 1e-6
+"""Mobility [1/kg] below which an effective mass counts as infinite, with and without the load."""
+UNKNOWN_UNIT = 10.0
+"""Standard deviation of the relative error of a torque constant about which nothing is known."""
 MIN_SIGNIFICANCE = 5.0
 """Standard deviations by which a contradiction to the model must differ from noise."""
 _PAYLOAD, _OWN = 10, 3
 """Numbers of parameters: of the load, and of each joint."""
 _SIZE = _PAYLOAD + _OWN
-_ITERATIONS, _FREE_ITERATIONS = 5, 2
+_ITERATIONS, _FREE_ITERATIONS = 8, 5
 
 
 class PayloadEstimate(NamedTuple):
@@ -174,7 +178,7 @@ class PayloadEstimator:
         solution, unfit = np.zeros(_PAYLOAD + _OWN * joints), ""
         for iteration in range(_ITERATIONS):
             # First as if the torque constants were unknown: else another unit passes for noise.
-            uncertainty = self._effort_uncertainty if iteration >= _FREE_ITERATIONS else 1.0
+            uncertainty = self._effort_uncertainty if iteration >= _FREE_ITERATIONS else UNKNOWN_UNIT
             weighted = products / (noise * inflation)[:, None, None] + resting / (noise + friction**2)[:, None, None]
             columns = self._columns(solution)
             solution, covariance = self._solve(columns.transpose(0, 2, 1) @ weighted @ columns, scales, uncertainty)
@@ -271,3 +275,23 @@ class PayloadEstimator:
         counts = np.sum([block.counts for block in self._blocks], axis=0)
         factors: FloatArray = np.maximum(1.0, np.sum(sums**2, axis=0) / (np.maximum(counts, 1.0) * noise))
         return factors
+
+
+def mass_gain(robot: Robot, mass: float, moment: FloatArray) -> float:
+    """Return by how much a further `mass` [kg] multiplies the largest effective mass of a contact point at any pose.
+
+    `moment` (3,) [kg m] is `mass` times CoM in the frame of the last joint. The poses are the sampled ones.
+    """
+    heavier = robot.model.copy()
+    load = pin.Inertia(mass, moment / mass, np.zeros((3, 3)))
+    heavier.appendBodyToJoint(heavier.njoints - 1, load, pin.SE3.Identity())
+    models = [(model, model.createData()) for model in (robot.model, heavier)]
+    gain = 1.0
+    for q in robot.sample_configurations():
+        inverses = [np.linalg.inv(robot.mass_matrix(model, data, q)) for model, data in models]
+        for frame in robot.contact_frames.values():
+            jacobian = pin.computeFrameJacobian(*models[0], q, frame, pin.LOCAL_WORLD_ALIGNED)[:3]
+            least = [float(np.linalg.eigvalsh(jacobian @ inverse @ jacobian.T)[0]) for inverse in inverses]
+            if least[0] > SINGULAR:
+                gain = max(gain, least[0] / least[1])
+    return gain

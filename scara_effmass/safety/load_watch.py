@@ -7,10 +7,9 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 
 from scara_effmass.codes import Reason
-from scara_effmass.identification.payload import PayloadEstimate, PayloadEstimator
+from scara_effmass.identification.payload import PayloadEstimate, PayloadEstimator, mass_gain
 from scara_effmass.kernel.admission import METRES_PER_RADIAN
 from scara_effmass.kernel.intervals import Intervals
 from scara_effmass.kernel.records import IntArray
@@ -125,22 +124,5 @@ class LoadWatch:
 
     def _exceeds_margin(self, estimate: PayloadEstimate) -> bool:
         """Return whether the load adds more than `mass_uncertainty` to the largest effective mass anywhere."""
-        robot, model = self._robot, self._robot.model.copy()
-        mass = estimate.mass - estimate.stated
-        load = pin.Inertia(mass, estimate.moment / mass, np.zeros((3, 3)))
-        model.appendBodyToJoint(model.njoints - 1, load, pin.SE3.Identity())
-        samples = robot.sample_configurations()
-
-        def masses(of: pin.Model) -> FloatArray:
-            data = of.createData()
-            return np.array(
-                [
-                    1.0 / max(np.linalg.eigvalsh(jacobian @ np.linalg.solve(matrix, jacobian.T))[0], 1e-9)
-                    for q in samples
-                    for matrix in [robot.mass_matrix(of, data, q)]
-                    for frame in robot.contact_frames.values()
-                    for jacobian in [pin.computeFrameJacobian(of, data, q, frame, pin.LOCAL_WORLD_ALIGNED)[:3]]
-                ]
-            )
-
-        return bool((masses(model) > self._margin * masses(robot.model)).any())
+        gain = mass_gain(self._robot, estimate.mass - estimate.stated, estimate.moment)
+        return gain > self._margin

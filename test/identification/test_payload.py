@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Load of the last link by the torques, on simulated joint states."""
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from scara_effmass.identification.payload import PayloadEstimate, PayloadEstimator, mass_gain
+from scara_effmass.kernel.intervals import Intervals
+from scara_effmass.model.load import load_robot
+from scara_effmass.model.robot import Robot
+from scara_effmass.settings import MonitorSettings
+from scara_effmass.studies.load import CASES, Case, States, robot_of, run, simulated
+
+SCARA, UR10, PANDA = CASES[:3]
+
+
+def estimates(robot: Robot, states: States, stated: float = 0.0) -> list[PayloadEstimate]:
+    per_joint = np.where(robot.revolute, 1.0, 0.25)
+    estimator = PayloadEstimator(
+        robot, rest_speeds=0.01 * per_joint, effort_uncertainty=0.03, mass_uncertainty=0.1, stated=stated
+    )
+    rows, means = Intervals(robot.periods, 0.1).add(*states)
+    found = [estimator.add(int(states.stamps[row]), mean) for row, mean in zip(rows, means, strict=True)]
+    return [estimate for estimate in found if estimate]
+
+
+def harmonic(robot: Robot, load: pin.Inertia, sizes: list[float], seconds: float = 8.0) -> States:
+    """Return joint states without any error, of joints that move by `sizes` (n,)."""
+    t, size = np.arange(0.0, seconds, 0.005), np.array(sizes)
+    w, start = 2.0 + 0.7 * np.arange(len(size)), np.arange(len(size))
+    middle = np.clip(0.4, robot.model.lowerPositionLimit, robot.model.upperPositionLimit)
+    q, qd = middle + size * np.sin(np.outer(t, w) + start), size * w * np.cos(np.outer(t, w) + start)
+    qdd = -size * w**2 * np.sin(np.outer(t, w) + start)
+    model = robot.model.copy()
+    model.appendBodyToJoint(model.njoints - 1, load, pin.SE3.Identity())
+    data = model.createData()
+    torque = np.array([pin.rnea(model, data, *row) for row in zip(q, qd, qdd, strict=True)])
+    return States(1_000_000_000 + np.round(1e9 * t).astype(np.int64), q, qd, torque + qdd @ robot.rotors.coupling)
+
+
+@pytest.mark.parametrize(("case", "sizes"), [(UR10, [0.5] * 6), (PANDA, [0.3] * 7), (SCARA, [0.5, 0.5, 0.02, 0.5])])
+def test_mass_and_moment_are_those_of_an_independent_model(case: Case, sizes: list[float]) -> None:
+    robot, com = robot_of(case), np.array([0.03, -0.02, 0.05])
+    load = pin.Inertia(0.8, com, 1e-3 * np.eye(3))
+    *_, last = estimates(robot, harmonic(robot, load, sizes), stated=0.5)
+    assert last.mass == pytest.approx(0.5 + 0.8, abs=0.01)
+    known = last.moment_deviations < 1e-2  # of a SCARA, nothing tells the height
+    np.testing.assert_allclose(last.moment[known], 0.8 * com[known], atol=2e-3)
+    assert known.sum() == (2 if case is SCARA else 3)
+    assert last.is_observable
+    assert not last.unfit
+    assert (last.telling_joint, last.stated) == ("", 0.5)
+
+
+def test_intervals_cover_the_load() -> None:
+    """And none of the robots without a load shows one."""
+    outcomes = [run(case, 10.0, seed) for case in (SCARA, UR10, PANDA) for seed in range(14)]
+    errors = np.array([[abs(part.error) / part.deviation for part in pair] for pair in outcomes])
+    assert 76 <= np.sum(errors < 1.96) <= 84
+    assert all(np.isfinite(loaded.found_s) and np.isinf(empty.found_s) for loaded, empty in outcomes)
+
+
+def test_scara_that_only_turns_does_not_show_its_load() -> None:
+    """Its torques show inertia alone, and that only together with errors of the torque constants."""
+    robot = robot_of(SCARA)
+    *_, last = estimates(robot, harmonic(robot, pin.Inertia.Zero(), [0.02, 0.0, 0.0, 0.0]))
+    assert not last.is_observable
+    assert last.telling_joint == "joint3"  # which lifts it
+
+
+def test_robot_at_rest_gives_no_estimate() -> None:
+    robot = robot_of(UR10)
+    assert not estimates(robot, harmonic(robot, pin.Inertia.Zero(), [0.0] * 6))
+
+
+def test_effort_of_another_unit_fits_no_load() -> None:
+    robot = robot_of(UR10)
+    states = simulated(robot, UR10, 1.0, 6.0, np.random.default_rng(5))
+    assert not any(estimate.unfit for estimate in estimates(robot, states))
+    for factor in (0.3, 3.0, 0.0, -1.0):
+        *_, last = estimates(robot, states._replace(effort=factor * states.effort))
+        assert "off the torque of the model" in last.unfit
+
+
+def test_mass_gain_is_the_ratio_of_effective_masses() -> None:
+    """A point mass at the contact point adds at most its own mass to any effective mass."""
+    robot = load_robot(Path(__file__).parents[2] / "config/robots/ur5_robot.urdf", MonitorSettings())
+    (frame,) = (robot.model.frames[index].placement.translation for index in robot.contact_frames.values())
+    gain = mass_gain(robot, 2.0, 2.0 * frame)
+    lightest = []
+    for q in robot.sample_configurations():
+        data = robot.model.createData()
+        inverse = np.linalg.inv(robot.mass_matrix(robot.model, data, q))
+        jacobian = pin.computeFrameJacobian(
+            robot.model, data, q, *robot.contact_frames.values(), pin.LOCAL_WORLD_ALIGNED
+        )[:3]
+        lightest.append(1.0 / np.linalg.eigvalsh(jacobian @ inverse @ jacobian.T)[0])
+    assert gain == pytest.approx(1.0 + 2.0 / min(lightest), rel=1e-9)
+    assert mass_gain(robot, 0.0 + 1e-9, np.zeros(3)) == pytest.approx(1.0, abs=1e-6)
