@@ -117,7 +117,10 @@ def assess_bag(
                     builder.add(states, point)
             written.result()
         counts = {"joint_states": count + monitor.ignored, "foreign": monitor.ignored, "refused": monitor.rejected}
-        result = BagResult(summary, counts, (), list(skew.lines(settings, task.time)))
+        notes = [*skew.lines(settings, task.time)]
+        if monitor.load_watch.estimate is not None:
+            notes.append(("load by the torques", monitor.load_watch.text))
+        result = BagResult(summary, counts, (), notes)
         result.unmodelled = monitor.unmodelled_joints
         if task.report:
             builds = (builder.build() for builder in series)

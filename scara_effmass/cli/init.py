@@ -37,7 +37,7 @@ UNASKED = {"payload_topic", "joint_names", "joint_limits", "velocity_source", "v
 UNASKED |= {"armature", "drives", "person_direction", "accept_assumptions", "max_joint_acceleration", "reaction_time"}
 UNASKED |= {"contact_damping", "contact_friction"}
 UNASKED |= {"locked_joints", "ignored_joints", "moving_mass", "contact_links", "package_dirs"}
-UNASKED |= {"contact_areas", "payload_shape"}
+UNASKED |= {"contact_areas", "payload_shape", "torque_constants"}
 """Options that few cells need."""
 SHOWN = ["robot", "joint_map", "joint_names", "contact_points", "payload_mass", "payload_com", "payload_inertia"]
 SHOWN += ["payload_shape", "tool_links", "armature", "locked_joints", "contact_links", "package_dirs"]

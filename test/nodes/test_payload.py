@@ -1,16 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Live payload: by topic from exactly one publisher, and by the parameter service at once."""
 
+import time
 from collections.abc import Callable
 
+import numpy as np
 from geometry_msgs.msg import Inertia, Vector3
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from scara_effmass_msgs.msg import ContactState
+from scara_effmass_msgs.msg import ContactState, PayloadEstimate
 
+from scara_effmass.codes import Reason
+from scara_effmass.share import share
+from scara_effmass.studies.load import Case, robot_of, simulated
 from test.nodes.conftest import Answer, NodeHarness, joint_state
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -93,3 +98,34 @@ def test_parameter_service_changes_the_whole_payload_at_once(harness: NodeHarnes
     finally:
         assert set_payload(0.0, [0.0, 0.0, 0.0], [0.0] * 6) == ""
     assert harness.response_to(joint_state()).full_mass == light.full_mass
+
+
+def test_load_that_nobody_stated_shows_in_the_torques(new_harness: Callable[..., NodeHarness]) -> None:
+    """Simulated joint states of a UR10 that carries 2 kg and states none."""
+    case = Case("UR10", "ur10_robot.urdf", 2.0)
+    robot = robot_of(case)
+    states = simulated(robot, case, 2.0, 6.0, np.random.default_rng(1))
+    path = str(share("config", "robots", "ur10_robot.urdf"))
+    settings = ("-p", "timeout:=60.0", "-p", "release_time:=0.0", "-p", f"robot:={path}", "-p", "autostart:=true")
+    harness = new_harness("--ros-args", *settings)
+    harness.subscribe()
+    estimates: list[PayloadEstimate] = []
+    harness.node.create_subscription(PayloadEstimate, "payload_estimate", estimates.append, LATCHED)
+    harness.spin_until(lambda: harness.node.count_subscribers("joint_states") == 1)
+    start_ns = time.time_ns() - 7_000_000_000
+    for stamp_ns, q, qd, effort in zip(*states, strict=True):
+        message = joint_state(start_ns + int(stamp_ns - states.stamps[0]), robot.joint_names, q.tolist(), qd.tolist())
+        message.effort = effort.tolist()
+        harness.send(message)
+    harness.spin_until(lambda: any(answer.reason_code == Reason.UNSTATED_LOAD for answer in harness.contact_states))
+    answer = next(answer for answer in harness.contact_states if answer.reason_code == Reason.UNSTATED_LOAD)
+    assert (answer.verdict, answer.allowable_speed) == (ContactState.UNKNOWN, 0.0)
+    assert "not the stated 0.00 kg" in answer.reason
+    last = estimates[-1]
+    assert last.mass_lower < last.mass < last.mass_upper
+    assert 1.0 < last.mass < 3.0
+    assert (last.stated_mass, last.is_observable) == (0.0, True)
+    assert last.header.frame_id == "wrist_3_link"
+    assert list(last.joint_names) == list(robot.joint_names)
+    assert len(last.coulomb_friction) == len(last.viscous_friction) == len(last.effort_error) == 6
+    assert harness.diagnostic("model", "load by the torques", lambda value: " kg (" in value)
