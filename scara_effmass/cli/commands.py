@@ -36,7 +36,7 @@ GROUPS = {"protocol": "write, fill in and render a measurement protocol of conta
 HELP = {
     "live": ("demo", *NODES, "replay", "record", "watch", "dashboard", "foxglove"),
     "offline": ("assess", "validate", "impacts", "protocol", "advise", "coverage", "import"),
-    "prepare": ("init", "doctor", "limits", "map", "lump", "completion"),
+    "prepare": ("init", "doctor", "limits", "map", "lump", "identify", "completion"),
     "research": ("figures", "campaign", "evidence"),
 }
 """Commands by the group under which --help lists them."""

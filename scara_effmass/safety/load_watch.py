@@ -14,6 +14,7 @@ from scara_effmass.kernel.admission import METRES_PER_RADIAN
 from scara_effmass.kernel.intervals import Intervals
 from scara_effmass.kernel.records import IntArray
 from scara_effmass.model.joint_values import joint_values
+from scara_effmass.model.robot import Robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import FloatArray
@@ -29,6 +30,17 @@ class Doubt(NamedTuple):
 
     reason: Reason = Reason.NONE
     text: str = ""
+
+
+def torque_constants_of(robot: Robot, settings: MonitorSettings) -> FloatArray:
+    """Return the torque (n,) per unit of effort. Raises RobotError for `torque_constants` of no joint."""
+    stated = joint_values(settings.torque_constants, robot.joint_names, "torque_constants")
+    return np.array([stated.get(name, 1.0) for name in robot.joint_names])
+
+
+def rest_speeds_of(robot: Robot) -> FloatArray:
+    """Return the speeds (n,) below which the joints may rest [rad/s, m/s]."""
+    return REST_SPEED * np.where(robot.revolute, 1.0, METRES_PER_RADIAN)
 
 
 def _used(settings: MonitorSettings) -> tuple[object, ...]:
@@ -53,8 +65,7 @@ class LoadWatch:
         robot = dynamics.robot
         self._dynamics, self._settings = dynamics, _used(settings)
         self._robot, self._margin = robot, 1.0 + settings.mass_uncertainty
-        constants = joint_values(settings.torque_constants, robot.joint_names, "torque_constants")
-        self._constants = np.array([constants.get(name, 1.0) for name in robot.joint_names])
+        self._constants = torque_constants_of(robot, settings)
         self.why_not = ""
         if not settings.effort_uncertainty:
             self.why_not = "effort_uncertainty is 0"
@@ -63,7 +74,7 @@ class LoadWatch:
         elif settings.filters_velocity:
             self.why_not = "it needs velocities as reported"
         self._stated = robot.payload_mass
-        self._rest_speeds = REST_SPEED * np.where(robot.revolute, 1.0, METRES_PER_RADIAN)
+        self._rest_speeds = rest_speeds_of(robot)
         self._effort_uncertainty, self._mass_uncertainty = settings.effort_uncertainty, settings.mass_uncertainty
         self._timeout_s = settings.timeout
         self.forget()

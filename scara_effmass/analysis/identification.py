@@ -1,0 +1,259 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Identify the masses of an arm from a recording with effort: report, pictures and corrected robot file."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from scara_effmass.analysis.assessment import joint_state_topic
+from scara_effmass.bags.files import open_bag
+from scara_effmass.codes import Reason
+from scara_effmass.errors import BagError, RobotError
+from scara_effmass.identification.arm import (
+    ArmEstimate,
+    EffectiveMasses,
+    effective_masses,
+    identify_arm,
+    link_parameters,
+)
+from scara_effmass.identification.regression import Z_95
+from scara_effmass.input_files import digest
+from scara_effmass.kernel.intervals import Intervals
+from scara_effmass.model.load import load_robot
+from scara_effmass.model.robot import Robot
+from scara_effmass.reference import RobotDynamics
+from scara_effmass.safety.joint_state_adapter import JointStateAdapter
+from scara_effmass.safety.load_watch import rest_speeds_of, torque_constants_of
+from scara_effmass.settings import MonitorSettings
+from scara_effmass.values import FloatArray
+
+CONFIGURATIONS = 200
+"""Number of configurations over the workspace at which effective masses are compared."""
+MAX_CONDITION = 100.0
+"""Condition number from which on the motion is called poor."""
+
+
+class Identification(NamedTuple):
+    """The masses of `robot` by the recording at `path`, from `used` joint states with effort of `count`."""
+
+    path: Path
+    robot: Robot
+    used: int
+    total: int
+    estimate: ArmEstimate
+    masses: EffectiveMasses
+
+    @property
+    def ratios(self) -> FloatArray:
+        """Effective masses as identified over those by the file."""
+        return self.masses.identified / self.masses.stated
+
+    @property
+    def half_intervals(self) -> FloatArray:
+        """Half the interval of 95 % over the identified effective mass."""
+        return Z_95 * self.masses.deviations / self.masses.identified
+
+    @property
+    def mass_uncertainties(self) -> tuple[float, float]:
+        """What `mass_uncertainty` must be for the robot file in use, and for the corrected one.
+
+        They cover the upper bound of the effective mass in 95 % of the configurations and directions.
+        """
+        of_file = self.ratios * (1.0 + self.half_intervals) - 1.0
+        return max(0.0, float(np.percentile(of_file, 95.0))), float(np.percentile(self.half_intervals, 95.0))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the result for JSON."""
+        estimate, names = self.estimate, self.robot.joint_names
+        links = zip(names, estimate.stated, estimate.parameters, estimate.deviations, estimate.is_known, strict=True)
+        of_file, corrected = self.mass_uncertainties
+        return {
+            "recording": str(self.path),
+            "robot": self.robot.origin,
+            "joint_states": self.total,
+            "joint_states_used": self.used,
+            "unfit": estimate.unfit,
+            "base_parameters": {
+                "identifiable": estimate.base.identifiable,
+                "rank": estimate.base.rank,
+                "condition_number": _finite(estimate.base.condition_number),
+            },
+            "is_projected": estimate.is_projected,
+            "links": [
+                {
+                    "joint": name,
+                    "stated": stated.tolist(),
+                    "identified": found.tolist(),
+                    "deviations": deviations.tolist(),
+                    "is_identified": known.tolist(),
+                }
+                for name, stated, found, deviations, known in links
+            ],
+            "joints": [
+                {
+                    "joint": name,
+                    "coulomb": float(f[0]),
+                    "viscous": float(f[1]),
+                    "effort_error": float(e),
+                    "rms": float(r),
+                }
+                for name, f, e, r in zip(
+                    names,
+                    estimate.solution.friction,
+                    estimate.solution.scale_errors,
+                    estimate.solution.residuals,
+                    strict=True,
+                )
+            ],
+            "effective_mass": {
+                "configurations": CONFIGURATIONS,
+                "identified_over_file": _percentiles(self.ratios),
+                "half_interval": _percentiles(self.half_intervals),
+            },
+            "mass_uncertainty": {"of_this_file": of_file, "of_the_corrected_file": corrected},
+        }
+
+    def lines(self) -> Iterator[tuple[str, str]]:
+        """Yield subject and text of the report."""
+        estimate, solution = self.estimate, self.estimate.solution
+        base = estimate.base
+        yield "joint states", f"{self.used} with effort of {self.total}"
+        if estimate.unfit:
+            yield "does not fit", f"{estimate.unfit}: nothing below counts; state --torque-constants, or check the file"
+        text = f"{base.rank} of {base.identifiable} base parameters move the torques"
+        poor = base.rank < base.identifiable or base.condition_number > MAX_CONDITION
+        advice = ": poor, move all joints to and fro, at several poses" if poor else ""
+        yield "motion", f"{text}, condition number {base.condition_number:.3g}{advice}"
+        if estimate.is_projected:
+            yield "consistency", "the nearest bodies count: least squares alone gives a link that no body can be"
+        for j, name in enumerate(self.robot.joint_names):
+            friction = "friction {:.3g} + {:.3g} |qd|".format(*solution.friction[j])
+            residual = f"residual {solution.residuals[j]:.3g} of {solution.torques[j]:.3g} N m or N"
+            yield (
+                f"  {name}",
+                f"{self._mass(j)}; {friction}, effort {100 * solution.scale_errors[j]:+.1f} %, {residual}",
+            )
+        ratio, half = _percentiles(self.ratios), _percentiles(self.half_intervals)
+        text = "identified over file {median:.3f} (5 % {p5:.3f}, 95 % {p95:.3f})".format(**ratio)
+        within = f"within {100 * half['median']:.1f} % (95 % of the workspace {100 * half['p95']:.1f} %)"
+        yield "effective mass", f"{text}, {within}"
+        of_file, corrected = self.mass_uncertainties
+        yield "mass_uncertainty", f"{of_file:.3f} for the robot file as it is, {corrected:.3f} for the corrected one"
+
+    def _mass(self, j: int) -> str:
+        """Return the mass of the link behind joint `j`, or that it is not identifiable."""
+        stated, mass = self.estimate.stated[j, 0], self.estimate.parameters[j, 0]
+        if not self.estimate.is_known[j, 0]:
+            return f"mass {stated:.3g} kg by the file, not identifiable by itself"
+        return f"mass {mass:.3g} ± {Z_95 * self.estimate.deviations[j, 0]:.2g} kg, {stated:.3g} by the file"
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def _percentiles(values: FloatArray) -> dict[str, float]:
+    p5, median, p95 = np.percentile(values, [5.0, 50.0, 95.0]).tolist()
+    return {"p5": p5, "median": median, "p95": p95, "largest": float(values.max())}
+
+
+def identify(path: Path, settings: MonitorSettings, topic: str | None = None) -> Identification:
+    """Return the masses of the robot of `settings` by the recording at `path`.
+
+    Raises BagError for one without effort or motion, and RobotError for a robot without inertia tensors.
+    """
+    robot = load_robot(settings.robot_path, settings)
+    if missing := RobotDynamics(robot).full_reason:
+        raise RobotError(f"{robot.origin}: identification starts from masses and inertias: {missing}")
+    adapter = JointStateAdapter(robot.joint_names, settings, robot.periods, robot.held)
+    constants = torque_constants_of(robot, settings)
+    intervals, means = Intervals(robot.periods, settings.timeout), list[FloatArray]()
+    used = count = 0
+    has_torque = False
+    with open_bag(path) as bag:
+        for block in bag.joint_state_blocks(joint_state_topic(bag, topic)):
+            layout, size = adapter.layout(block.names), len(block)
+            count += size
+            if not size or layout.is_foreign or layout.reason is not Reason.NONE:
+                continue
+            q, qd = np.empty((2, size, robot.model.nv))
+            reason, _ = adapter.read(layout, block.position, block.velocity, q, qd)
+            if reason is not Reason.NONE or block.effort.shape[-1] != len(block.names) or not block.velocity.size:
+                continue
+            effort = block.effort[:, layout.order]
+            has_torque |= bool(np.any(effort != 0.0))
+            used += size
+            means += [*intervals.add(block.stamp_ns, q, qd, effort * constants)[1]]
+    if not used or not has_torque:
+        problem = (
+            "the effort is 0 throughout"
+            if used
+            else f"none of {count} joint states of the robot has velocity and effort"
+        )
+        raise BagError(f"{path}: {problem}: must hold the torques of the joints")
+    estimate = identify_arm(
+        robot, means, rest_speeds=rest_speeds_of(robot), effort_uncertainty=settings.effort_uncertainty or 1e-6
+    )
+    if estimate is None:
+        raise BagError(f"{path}: no joint moves for long enough: must hold motion of the arm")
+    return Identification(path, robot, used, count, estimate, effective_masses(robot, estimate, CONFIGURATIONS))
+
+
+def corrected_urdf(found: Identification, settings: MonitorSettings) -> bytes:
+    """Return the URDF of the robot with the identified inertias, and where they come from.
+
+    Each link behind a moving joint has all of the body that moves with it; the links fixed to it have none. Raises
+    RobotError for a DH file, and for a link that is lighter than its stated load.
+    """
+    robot, path = found.robot, settings.robot_path
+    bare = load_robot(path, settings.model_copy(update={"payload_mass": 0.0, "payload_inertia": (0.0,) * 6}))
+    load = link_parameters(robot.model) - link_parameters(bare.model)
+    root = ET.fromstring(path.read_bytes())  # noqa: S314 - a local file that the robot was loaded from
+    if root.tag != "robot":
+        raise RobotError(f"{path}: must be a URDF for a corrected file")
+    joints = {joint.get("name"): joint for joint in root.iter("joint") if joint.find("child") is not None}
+    children = {name: _link(joint, "child") for name, joint in joints.items()}
+    elements = {link.get("name"): link for link in root.findall("link")}
+    for name, parameters in zip(robot.joint_names, found.estimate.parameters - load, strict=True):
+        mass = float(parameters[0])
+        if not mass > 0.0:
+            raise RobotError(f"{path}: the link behind {name} is lighter than its stated load: check the payload")
+        body = [children[name]]
+        for link in body:
+            fixed = (key for key, joint in joints.items() if _link(joint, "parent") == link)
+            body += [children[key] for key in fixed if key not in robot.joint_names]
+        for link in body:
+            for inertial in elements[link].findall("inertial"):
+                elements[link].remove(inertial)
+        elements[body[0]].insert(0, _inertial(parameters))
+    source = f"{found.path.name} (SHA-256 {digest(found.path, BagError)})"
+    comment = f" inertial elements identified by scara-effmass from {source} "
+    root.insert(0, ET.Comment(comment.replace("--", "- -")))
+    ET.indent(root)
+    return bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True))
+
+
+def _link(joint: ET.Element, kind: str) -> str:
+    element = joint.find(kind)
+    return "" if element is None else str(element.get("link"))
+
+
+def _inertial(parameters: FloatArray) -> ET.Element:
+    """Return the element of a body with the parameters (10,) in the frame of its link."""
+    mass, moment = float(parameters[0]), parameters[1:4]
+    com = moment / mass
+    xx, xy, yy, xz, yz, zz = parameters[4:]
+    about_com = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) - mass * (
+        com @ com * np.eye(3) - np.outer(com, com)
+    )
+    element = ET.Element("inertial")
+    ET.SubElement(element, "origin", xyz=" ".join(f"{value:.9g}" for value in com), rpy="0 0 0")
+    ET.SubElement(element, "mass", value=f"{mass:.9g}")
+    places = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
+    ET.SubElement(element, "inertia", {name: f"{about_com[place]:.9g}" for name, place in places.items()})
+    return element

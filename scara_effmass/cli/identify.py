@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`scara-effmass identify`."""
+
+import argparse
+
+from scara_effmass.analysis.identification import corrected_urdf, identify
+from scara_effmass.analysis.output import check_output_files
+from scara_effmass.cli.console import print_result
+from scara_effmass.cli.options import monitor_settings, require_no_payload_topic, robot_line
+from scara_effmass.model.load import ROBOT_FORMATS
+
+NAME, RESULT = "identification", "identify.json"
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the masses of the robot by a recording; return 1 if its torques do not fit the model."""
+    settings = monitor_settings(args)
+    require_no_payload_topic(settings, "identification")
+    is_urdf = settings.robot_path.suffix.lower() not in {*ROBOT_FORMATS} - {".urdf"}
+    corrected = settings.robot_path.with_suffix(".urdf").name
+    if args.output:
+        from scara_effmass.analysis import report  # noqa: PLC0415 - matplotlib, an extra
+        from scara_effmass.analysis.identification_figure import draw_identification  # noqa: PLC0415
+
+        names = [*report.figure_files([NAME]), RESULT, *[corrected] * is_urdf]
+        check_output_files(args.output, names, overwrite=args.force)
+    found = identify(args.bag, settings, args.topic)
+    result, lines = found.as_dict(), [robot_line(found.robot, settings), *found.lines()]
+    is_fit = not found.estimate.unfit
+    if args.output:
+        files: dict[str, dict[str, object] | bytes] = {RESULT: result}
+        if is_urdf and is_fit:
+            files[corrected] = corrected_urdf(found, settings)
+        figure = report.report_figure(NAME, "Identified masses", found.robot.name, draw_identification(found))
+        report.write_report_files(args.output, files, [figure], overwrite=args.force)
+        written = [*files, *report.figure_files([NAME])]
+        lines.append(("written", ", ".join(str(args.output / name) for name in written)))
+        if corrected not in files:
+            why = "the torques do not fit" if is_urdf else "the robot is no URDF"
+            lines.append(("no robot file", why))
+    print_result(result, lines, as_json=args.json)
+    return 0 if is_fit else 1

@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Masses of all links by the torques, on simulated joint states."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from scara_effmass.identification.arm import (
+    ArmEstimate,
+    effective_mass,
+    effective_masses,
+    identify_arm,
+    link_parameters,
+    pseudo_inertia,
+    with_parameters,
+)
+from scara_effmass.kernel.intervals import Intervals
+from scara_effmass.model.robot import Robot
+from scara_effmass.safety.load_watch import rest_speeds_of
+from scara_effmass.studies.load import CASES, Case, States, robot_of, simulated
+
+SCARA, UR10, PANDA = CASES[:3]
+
+
+def wrong(robot: Robot, factors: Sequence[float]) -> pin.Model:
+    """Return a model whose links have `factors` of the masses and inertias."""
+    model = robot.model.copy()
+    for joint, factor in enumerate(factors, start=1):
+        stated = model.inertias[joint]
+        model.inertias[joint] = pin.Inertia(factor * stated.mass, stated.lever, factor * stated.inertia)
+    return model
+
+
+def estimated(robot: Robot, states: States) -> ArmEstimate:
+    _, means = Intervals(robot.periods, 0.1).add(*states)
+    found = identify_arm(robot, means, rest_speeds=rest_speeds_of(robot), effort_uncertainty=0.03)
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize(
+    ("case", "factors"), [(SCARA, (1.4, 1.4, 1.3, 1.3)), (PANDA, (1, 1.3, 0.7, 1.2, 1.3, 0.8, 1.2))]
+)
+def test_effective_mass_is_that_of_the_true_arm(case: Case, factors: tuple[float, ...]) -> None:
+    """Also where the file is a third off."""
+    robot = robot_of(case)
+    truth = replace(robot, model=wrong(robot, factors))
+    found = estimated(robot, simulated(truth, case, 0.0, 40.0, np.random.default_rng(4)))
+    assert not found.unfit
+    masses = effective_masses(robot, found, 60)
+    true = effective_masses(robot, found._replace(parameters=link_parameters(truth.model)), 60).identified
+    covered = np.abs(masses.identified - true) < 1.96 * masses.deviations
+    assert covered.mean() > 0.9
+    assert np.median(np.abs(masses.identified / true - 1.0)) < 0.5 * np.median(np.abs(masses.stated / true - 1.0))
+    assert (masses.deviations < masses.prior_deviations).all()
+
+
+def test_every_link_is_a_body() -> None:
+    for seed in range(3):
+        robot = robot_of(UR10)
+        found = estimated(robot, simulated(robot, UR10, 0.0, 8.0, np.random.default_rng(seed)))
+        assert all(np.linalg.eigvalsh(pseudo_inertia(parameters))[0] > 0.0 for parameters in found.parameters)
+
+
+def test_a_right_file_is_confirmed() -> None:
+    robot = robot_of(PANDA)
+    masses = effective_masses(robot, estimated(robot, simulated(robot, PANDA, 0.0, 40.0, np.random.default_rng(1))), 60)
+    assert np.mean(np.abs(masses.identified - masses.stated) < 1.96 * masses.deviations) > 0.9
+
+
+def test_base_parameters_of_a_planar_arm_are_those_counted_by_hand() -> None:
+    """Two parallel horizontal axes: I1 + m2 l^2, m1 c1 + m2 l (2 of the CoM), I2 and m2 c2 (2); Khalil & Dombre."""
+    model = pin.Model()
+    arm = robot_of(SCARA)
+    axis = pin.JointModelRY()
+    for number, place in enumerate((pin.SE3.Identity(), pin.SE3(np.eye(3), np.array([0.4, 0.0, 0.0])))):
+        joint = model.addJoint(number, axis, place, f"joint{number + 1}")
+        model.appendBodyToJoint(
+            joint, pin.Inertia(2.0, np.array([0.2, 0.0, 0.02]), 0.02 * np.eye(3)), pin.SE3.Identity()
+        )
+    model.lowerPositionLimit, model.upperPositionLimit = np.full(2, -3.0), np.full(2, 3.0)
+    model.effortLimit, model.velocityLimit = np.full(2, 50.0), np.full(2, 3.0)
+    model.armature = np.zeros(2)
+    tool = model.addFrame(
+        pin.Frame("tool", 2, 0, pin.SE3(np.eye(3), np.array([0.4, 0.0, 0.0])), pin.FrameType.OP_FRAME)
+    )
+    rotors = replace(robot_of(UR10).rotors, matrix=np.zeros((2, 2)))
+    planar = replace(arm, model=model, contact_frames={"tool": tool}, rotors=rotors, hulls={})
+    found = estimated(planar, simulated(planar, UR10, 0.0, 10.0, np.random.default_rng(2)))
+    assert found.base.identifiable == found.base.rank == 6
+
+
+def test_gradient_is_that_of_finite_differences() -> None:
+    robot = robot_of(PANDA)
+    q, normals = robot.sample_configurations(3)[1], np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8]])
+    parameters = link_parameters(robot.model)
+    _, gradients = effective_mass(robot, robot.model, robot.model.createData(), q, normals)
+    for index in range(0, parameters.size, 3):
+        step = np.zeros(parameters.size)
+        step[index] = 1e-5
+        both = [with_parameters(robot.model, parameters + sign * step.reshape(parameters.shape)) for sign in (1, -1)]
+        up, down = (effective_mass(robot, model, model.createData(), q, normals)[0] for model in both)
+        np.testing.assert_allclose(gradients[:, index], (up - down) / 2e-5, rtol=1e-4, atol=1e-6)
+
+
+def test_no_motion_gives_no_estimate() -> None:
+    robot = robot_of(UR10)
+    assert identify_arm(robot, [], rest_speeds=rest_speeds_of(robot), effort_uncertainty=0.03) is None
