@@ -37,6 +37,9 @@ CONFIGURATIONS = 200
 MAX_CONDITION = 100.0
 """Condition number from which on the motion is called poor."""
 
+HEADINGS = ("link behind", "file [kg]", "identified [kg]", "f_c", "f_v", "effort off [%]", "torque", "residual")
+"""Masses, friction [N m, N; per rad/s or m/s], error of the effort, root mean squares in motion [N m, N]."""
+
 
 class Identification(NamedTuple):
     """The masses of `robot` by the recording at `path`, from `used` joint states with effort of `count`."""
@@ -120,24 +123,17 @@ class Identification(NamedTuple):
 
     def lines(self) -> Iterator[tuple[str, str]]:
         """Yield subject and text of the report."""
-        estimate, solution = self.estimate, self.estimate.solution
-        base = estimate.base
+        estimate, base = self.estimate, self.estimate.base
         yield "joint states", f"{self.used} with effort of {self.total}"
         if estimate.unfit:
-            yield "does not fit", f"{estimate.unfit}: nothing below counts; state --torque-constants, or check the file"
+            yield "no masses", f"{estimate.unfit}: state --torque-constants, or check masses and units of the file"
+            return
         text = f"{base.rank} of {base.identifiable} base parameters move the torques"
         poor = base.rank < base.identifiable or base.condition_number > MAX_CONDITION
         advice = ": poor, move all joints to and fro, at several poses" if poor else ""
         yield "motion", f"{text}, condition number {base.condition_number:.3g}{advice}"
         if estimate.is_projected:
             yield "consistency", "the nearest bodies count: least squares alone gives a link that no body can be"
-        for j, name in enumerate(self.robot.joint_names):
-            friction = "friction {:.3g} + {:.3g} |qd|".format(*solution.friction[j])
-            residual = f"residual {solution.residuals[j]:.3g} of {solution.torques[j]:.3g} N m or N"
-            yield (
-                f"  {name}",
-                f"{self._mass(j)}; {friction}, effort {100 * solution.scale_errors[j]:+.1f} %, {residual}",
-            )
         ratio, half = _percentiles(self.ratios), _percentiles(self.half_intervals)
         text = "identified over file {median:.3f} (5 % {p5:.3f}, 95 % {p95:.3f})".format(**ratio)
         within = f"within {100 * half['median']:.1f} % (95 % of the workspace {100 * half['p95']:.1f} %)"
@@ -145,12 +141,19 @@ class Identification(NamedTuple):
         of_file, corrected = self.mass_uncertainties
         yield "mass_uncertainty", f"{of_file:.3f} for the robot file as it is, {corrected:.3f} for the corrected one"
 
-    def _mass(self, j: int) -> str:
-        """Return the mass of the link behind joint `j`, or that it is not identifiable."""
-        stated, mass = self.estimate.stated[j, 0], self.estimate.parameters[j, 0]
-        if not self.estimate.is_known[j, 0]:
-            return f"mass {stated:.3g} kg by the file, not identifiable by itself"
-        return f"mass {mass:.3g} ± {Z_95 * self.estimate.deviations[j, 0]:.2g} kg, {stated:.3g} by the file"
+    def rows(self) -> Iterator[tuple[object, ...]]:
+        """Yield what HEADINGS names, per joint."""
+        estimate, solution = self.estimate, self.estimate.solution
+        for j, name in enumerate(self.robot.joint_names):
+            stated, mass, half = estimate.stated[j, 0], estimate.parameters[j, 0], Z_95 * estimate.deviations[j, 0]
+            found = f"{mass:.3g} ± {half:.2g}" if estimate.is_known[j, 0] else "not by itself"
+            numbers = (
+                *solution.friction[j],
+                100.0 * solution.scale_errors[j],
+                solution.torques[j],
+                solution.residuals[j],
+            )
+            yield name, float(stated), found, *map(float, numbers)
 
 
 def _finite(value: float) -> float | None:

@@ -3,9 +3,9 @@
 
 import argparse
 
-from scara_effmass.analysis.identification import corrected_urdf, identify
+from scara_effmass.analysis.identification import HEADINGS, corrected_urdf, identify
 from scara_effmass.analysis.output import check_output_files
-from scara_effmass.cli.console import print_result
+from scara_effmass.cli.console import print_result, print_table
 from scara_effmass.cli.options import monitor_settings, require_no_payload_topic, robot_line
 from scara_effmass.model.load import ROBOT_FORMATS
 
@@ -39,4 +39,6 @@ def run(args: argparse.Namespace) -> int:
             why = "the torques do not fit" if is_urdf else "the robot is no URDF"
             lines.append(("no robot file", why))
     print_result(result, lines, as_json=args.json)
+    if is_fit and not args.json:
+        print_table("Masses of the links, friction and torques", HEADINGS, found.rows())
     return 0 if is_fit else 1

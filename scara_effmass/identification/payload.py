@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
+from scipy.linalg import block_diag
 
 from scara_effmass.identification.regression import MIN_SIGNIFICANCE, Z_95, TorqueRegression
 from scara_effmass.model.robot import Robot
@@ -58,7 +59,8 @@ class PayloadEstimator:
     """Estimates what the last link of `robot` carries beyond its stated load.
 
     `effort_uncertainty` is the standard deviation of the relative error of torque constants, `rest_speeds` (n,) the
-    speeds [rad/s, m/s] below which a joint may rest, and `stated` [kg] the load that `robot` counts besides its file.
+    speeds [rad/s, m/s] below which a joint may rest, and `stated` [kg] the load that `robot` counts. `link_uncertainty`
+    is the standard deviation of mass and inertia of each link, relative to those of the file; 0: they are known.
     """
 
     def __init__(
@@ -69,13 +71,18 @@ class PayloadEstimator:
         effort_uncertainty: float,
         mass_uncertainty: float,
         stated: float,
+        link_uncertainty: float = 0.0,
     ) -> None:
         mass, lever = max(robot.moving_mass, 0.0), LEVER * robot.reach
         self._stated = stated
         self._observable = max(mass_uncertainty, 0.01) * mass
         self._prior = np.array([mass] + 3 * [mass * lever] + 6 * [mass * lever * lever])
-        units = np.zeros((10 * robot.model.nv, 10))
-        units[-10:] = np.diag(self._prior)
+        load = np.zeros((10 * robot.model.nv, 10))
+        load[-10:] = np.diag(self._prior)
+        links = [
+            link_uncertainty * inertia.toDynamicParameters()[:, None] for inertia in list(robot.model.inertias)[1:]
+        ]
+        units = np.hstack((load, block_diag(*links))) if link_uncertainty else load
         self._regression = TorqueRegression(
             robot, units, rest_speeds=rest_speeds, effort_uncertainty=effort_uncertainty, blocks=BLOCKS
         )
@@ -85,7 +92,9 @@ class PayloadEstimator:
         if not self._regression.add(means):
             return None
         found = self._regression.solve()
-        load, deviations = self._prior * found.parameters, self._prior * np.sqrt(np.diag(found.covariance))
+        count = len(self._prior)
+        load = self._prior * found.parameters[:count]
+        deviations = self._prior * np.sqrt(np.diag(found.covariance)[:count])
         mass, deviation, unfit = self._stated + float(load[0]), float(deviations[0]), found.unfit
         if mass + MIN_SIGNIFICANCE * deviation < 0.0:
             unfit = unfit or f"the torques are those of a load of {mass:.2f} kg"

@@ -127,9 +127,9 @@ class MonitorNode(LifecycleBase):
             (ContactStates, topics.CONTACT_STATES, qos),
             (Float64, topics.ALLOWABLE_SPEED, scalar_qos),
             (Float64, topics.SPEED_SCALING, scalar_qos),
-            (PayloadEstimate, topics.PAYLOAD_ESTIMATE, topics.DESCRIPTION_QOS),
         ):
             self._outputs[topic] = self.create_owned_publisher(message_type, topic, topic_qos)
+        self._estimates = self.create_owned_publisher(PayloadEstimate, topics.PAYLOAD_ESTIMATE, topics.DESCRIPTION_QOS)
         self._diagnostics = Diagnostics(self, self._statuses, self._settings.status_period)
         self._joint_states = self.create_owned_subscription(
             JointState,
@@ -318,7 +318,7 @@ class MonitorNode(LifecycleBase):
         message.header.frame_id = robot.last_link
         with self._output_lock:
             if self._publishing:
-                self._outputs[topics.PAYLOAD_ESTIMATE].publish(message)
+                self._estimates.publish(message)
 
     def _on_command(self, data: bytes, info: dict[str, Any]) -> None:
         with self._monitor_lock:

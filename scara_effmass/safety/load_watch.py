@@ -47,6 +47,7 @@ def _used(settings: MonitorSettings) -> tuple[object, ...]:
     return (
         settings.effort_uncertainty,
         settings.torque_constants,
+        settings.link_uncertainty,
         settings.mass_uncertainty,
         settings.filters_velocity,
         settings.timeout,
@@ -76,7 +77,7 @@ class LoadWatch:
         self._stated = robot.payload_mass
         self._rest_speeds = rest_speeds_of(robot)
         self._effort_uncertainty, self._mass_uncertainty = settings.effort_uncertainty, settings.mass_uncertainty
-        self._timeout_s = settings.timeout
+        self._timeout_s, self._link_uncertainty = settings.timeout, settings.link_uncertainty
         self.forget()
 
     def is_of(self, dynamics: RobotDynamics, settings: MonitorSettings) -> bool:
@@ -92,6 +93,7 @@ class LoadWatch:
             effort_uncertainty=self._effort_uncertainty,
             mass_uncertainty=self._mass_uncertainty,
             stated=self._stated,
+            link_uncertainty=self._link_uncertainty,
         )
         self.estimate: PayloadEstimate | None = None
         self.doubt = Doubt()

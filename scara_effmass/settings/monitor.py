@@ -220,6 +220,11 @@ class MonitorSettings(FrozenSettings):
         "relative standard deviation of the effort in joint states from the joint torque (errors of torque constants); "
         "0: no load is estimated from it",
     )
+    link_uncertainty: Fraction = fixed(
+        0.0,
+        "relative standard deviation of mass and inertia of each link from the robot file, where the load is "
+        "estimated; 0: they are known",
+    )
     torque_constants: tuple[str, ...] = fixed(
         (),
         'torque per unit of effort, "joint=value", where the driver reports a motor current [N m/A, N/A]; 1 by default',
