@@ -68,7 +68,18 @@ IMPORTERS = {
     "matplotlib": {"analysis", "studies"},
     "numba": {"kernel"},
     "pyarrow": {"analysis", "bags", "studies"},
-    "scipy": {"analysis", "cell", "daq", "impacts", "iso15066", "model", "reference", "sim", "studies"},
+    "scipy": {
+        "analysis",
+        "cell",
+        "daq",
+        "identification",
+        "impacts",
+        "iso15066",
+        "model",
+        "reference",
+        "sim",
+        "studies",
+    },
 }
 """The rooms that may import a library."""
 MESSAGE_IMPORTERS = {"nodes", "wire", "cli"}
