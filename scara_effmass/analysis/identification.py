@@ -19,16 +19,16 @@ from scara_effmass.identification.arm import (
     EffectiveMasses,
     effective_masses,
     identify_arm,
-    link_parameters,
+    with_parameters,
 )
-from scara_effmass.identification.regression import Z_95
+from scara_effmass.identification.regression import Z_95, link_parameters
 from scara_effmass.input_files import digest
 from scara_effmass.kernel.intervals import Intervals
+from scara_effmass.model.joint_values import torque_constants
 from scara_effmass.model.load import load_robot
 from scara_effmass.model.robot import Robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety.joint_state_adapter import JointStateAdapter
-from scara_effmass.safety.load_watch import rest_speeds_of, torque_constants_of
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import FloatArray
 
@@ -174,7 +174,7 @@ def identify(path: Path, settings: MonitorSettings, topic: str | None = None) ->
     if missing := RobotDynamics(robot).full_reason:
         raise RobotError(f"{robot.origin}: identification starts from masses and inertias: {missing}")
     adapter = JointStateAdapter(robot.joint_names, settings, robot.periods, robot.held)
-    constants = torque_constants_of(robot, settings)
+    constants = torque_constants(settings.torque_constants, robot.joint_names)
     intervals, means = Intervals(robot.periods, settings.timeout), list[FloatArray]()
     used = count = 0
     has_torque = False
@@ -199,9 +199,7 @@ def identify(path: Path, settings: MonitorSettings, topic: str | None = None) ->
             else f"none of {count} joint states of the robot has velocity and effort"
         )
         raise BagError(f"{path}: {problem}: must hold the torques of the joints")
-    estimate = identify_arm(
-        robot, means, rest_speeds=rest_speeds_of(robot), effort_uncertainty=settings.effort_uncertainty or 1e-6
-    )
+    estimate = identify_arm(robot, means, settings.effort_uncertainty)
     if estimate is None:
         raise BagError(f"{path}: no joint moves for long enough: must hold motion of the arm")
     return Identification(path, robot, used, count, estimate, effective_masses(robot, estimate, CONFIGURATIONS))
@@ -211,20 +209,18 @@ def corrected_urdf(found: Identification, settings: MonitorSettings) -> bytes:
     """Return the URDF of the robot with the identified inertias, and where they come from.
 
     Each link behind a moving joint has all of the body that moves with it; the links fixed to it have none. Raises
-    RobotError for a DH file, and for a link that is lighter than its stated load.
+    RobotError for a link that is lighter than its stated load.
     """
     robot, path = found.robot, settings.robot_path
     bare = load_robot(path, settings.model_copy(update={"payload_mass": 0.0, "payload_inertia": (0.0,) * 6}))
     load = link_parameters(robot.model) - link_parameters(bare.model)
     root = ET.fromstring(path.read_bytes())  # noqa: S314 - a local file that the robot was loaded from
-    if root.tag != "robot":
-        raise RobotError(f"{path}: must be a URDF for a corrected file")
     joints = {joint.get("name"): joint for joint in root.iter("joint") if joint.find("child") is not None}
     children = {name: _link(joint, "child") for name, joint in joints.items()}
     elements = {link.get("name"): link for link in root.findall("link")}
-    for name, parameters in zip(robot.joint_names, found.estimate.parameters - load, strict=True):
-        mass = float(parameters[0])
-        if not mass > 0.0:
+    bodies = with_parameters(robot.model, found.estimate.parameters - load).inertias
+    for name, inertia in zip(robot.joint_names, list(bodies)[1:], strict=True):
+        if not inertia.mass > 0.0:
             raise RobotError(f"{path}: the link behind {name} is lighter than its stated load: check the payload")
         body = [children[name]]
         for link in body:
@@ -233,7 +229,7 @@ def corrected_urdf(found: Identification, settings: MonitorSettings) -> bytes:
         for link in body:
             for inertial in elements[link].findall("inertial"):
                 elements[link].remove(inertial)
-        elements[body[0]].insert(0, _inertial(parameters))
+        elements[body[0]].insert(0, _inertial(inertia))
     source = f"{found.path.name} (SHA-256 {digest(found.path, BagError)})"
     comment = f" inertial elements identified by scara-effmass from {source} "
     root.insert(0, ET.Comment(comment.replace("--", "- -")))
@@ -246,17 +242,11 @@ def _link(joint: ET.Element, kind: str) -> str:
     return "" if element is None else str(element.get("link"))
 
 
-def _inertial(parameters: FloatArray) -> ET.Element:
-    """Return the element of a body with the parameters (10,) in the frame of its link."""
-    mass, moment = float(parameters[0]), parameters[1:4]
-    com = moment / mass
-    xx, xy, yy, xz, yz, zz = parameters[4:]
-    about_com = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) - mass * (
-        com @ com * np.eye(3) - np.outer(com, com)
-    )
+def _inertial(inertia: Any) -> ET.Element:  # noqa: ANN401 - a pinocchio.Inertia
+    """Return the element of a body in the frame of its link."""
     element = ET.Element("inertial")
-    ET.SubElement(element, "origin", xyz=" ".join(f"{value:.9g}" for value in com), rpy="0 0 0")
-    ET.SubElement(element, "mass", value=f"{mass:.9g}")
+    ET.SubElement(element, "origin", xyz=" ".join(f"{value:.9g}" for value in inertia.lever), rpy="0 0 0")
+    ET.SubElement(element, "mass", value=f"{inertia.mass:.9g}")
     places = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
-    ET.SubElement(element, "inertia", {name: f"{about_com[place]:.9g}" for name, place in places.items()})
+    ET.SubElement(element, "inertia", {name: f"{inertia.inertia[place]:.9g}" for name, place in places.items()})
     return element

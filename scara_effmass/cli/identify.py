@@ -7,7 +7,8 @@ from scara_effmass.analysis.identification import HEADINGS, corrected_urdf, iden
 from scara_effmass.analysis.output import check_output_files
 from scara_effmass.cli.console import print_result, print_table
 from scara_effmass.cli.options import monitor_settings, require_no_payload_topic, robot_line
-from scara_effmass.model.load import ROBOT_FORMATS
+from scara_effmass.model.load import loader_of
+from scara_effmass.model.urdf import load_urdf
 
 NAME, RESULT = "identification", "identify.json"
 
@@ -16,7 +17,7 @@ def run(args: argparse.Namespace) -> int:
     """Print the masses of the robot by a recording; return 1 if its torques do not fit the model."""
     settings = monitor_settings(args)
     require_no_payload_topic(settings, "identification")
-    is_urdf = settings.robot_path.suffix.lower() not in {*ROBOT_FORMATS} - {".urdf"}
+    is_urdf = loader_of(settings.robot_path) is load_urdf
     corrected = settings.robot_path.with_suffix(".urdf").name
     if args.output:
         from scara_effmass.analysis import report  # noqa: PLC0415 - matplotlib, an extra

@@ -18,7 +18,7 @@ import pinocchio as pin
 from scipy.linalg import block_diag, qr
 from scipy.optimize import least_squares
 
-from scara_effmass.identification.regression import Solution, TorqueRegression
+from scara_effmass.identification.regression import Solution, TorqueRegression, link_parameters
 from scara_effmass.model.robot import Robot
 from scara_effmass.values import FloatArray
 
@@ -102,17 +102,15 @@ class EffectiveMasses(NamedTuple):
     prior_deviations: FloatArray
 
 
-def identify_arm(
-    robot: Robot, intervals: Iterable[FloatArray], *, rest_speeds: FloatArray, effort_uncertainty: float
-) -> ArmEstimate | None:
+def identify_arm(robot: Robot, intervals: Iterable[FloatArray], effort_uncertainty: float) -> ArmEstimate | None:
     """Return the parameters of all links by the means (6, n) of `intervals`; None if no joint moves in any.
 
-    `rest_speeds` (n,) and `effort_uncertainty` are those of `TorqueRegression`.
+    `effort_uncertainty` is that of `TorqueRegression`.
     """
     stated = link_parameters(robot.model)
     factors = [_factor(parameters, stated[:, 0].mean()) for parameters in stated]
     units = block_diag(*(_units(factor) for factor in factors))
-    regression = TorqueRegression(robot, units, rest_speeds=rest_speeds, effort_uncertainty=effort_uncertainty)
+    regression = TorqueRegression(robot, units, effort_uncertainty)
     for means in intervals:
         regression.add(means)
     if not regression.counts.any():
@@ -144,28 +142,12 @@ def identify_arm(
     )
 
 
-def link_parameters(model: pin.Model) -> FloatArray:
-    """Return the inertial parameters (n, 10) of the moving links of `model`."""
-    return np.array([inertia.toDynamicParameters() for inertia in list(model.inertias)[1:]])
-
-
 def with_parameters(model: pin.Model, parameters: FloatArray) -> pin.Model:
     """Return `model` with the inertial parameters (n, 10)."""
     changed = model.copy()
     for joint, values in enumerate(parameters, start=1):
         changed.inertias[joint] = pin.Inertia.FromDynamicParameters(values)
     return changed
-
-
-def pseudo_inertia(parameters: FloatArray) -> FloatArray:
-    """Return the pseudo-inertia (4, 4) of the parameters (10,) of a link: positive definite for a body with extent."""
-    m, *moment, ixx, ixy, iyy, ixz, iyz, izz = parameters
-    inertia = np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
-    matrix = np.empty((4, 4))
-    matrix[:3, :3] = 0.5 * np.trace(inertia) * np.eye(3) - inertia
-    matrix[:3, 3] = matrix[3, :3] = moment
-    matrix[3, 3] = m
-    return matrix
 
 
 def effective_mass(
@@ -216,14 +198,12 @@ def _jacobian(robot: Robot, q: FloatArray) -> FloatArray:
 
 def _parameters(matrix: FloatArray) -> FloatArray:
     """Return the parameters (10,) of a pseudo-inertia (4, 4), or their change by one."""
-    inertia = np.trace(matrix[:3, :3]) * np.eye(3) - matrix[:3, :3]
-    moments = inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
-    return np.concatenate((matrix[3:, 3], matrix[:3, 3], moments))
+    return np.asarray(pin.PseudoInertia.FromMatrix(matrix).toDynamicParameters())
 
 
 def _factor(parameters: FloatArray, mean_mass: float) -> FloatArray:
     """Return U (4, 4) with U U^T the pseudo-inertia of a link of the file, of least mass and extent."""
-    matrix = pseudo_inertia(parameters)
+    matrix = pin.PseudoInertia.FromDynamicParameters(parameters).toMatrix()
     mass = max(matrix[3, 3], MIN_MASS_SHARE * mean_mass)
     com = matrix[:3, 3] / mass
     values, vectors = np.linalg.eigh(matrix[:3, :3] / mass - np.outer(com, com))

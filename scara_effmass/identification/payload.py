@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The load of the last link from motion and torques of the joints.
 
-Of the arm, the inertial parameters count as known; those of the last link differ by what it carries beyond the stated
-load. `regression` estimates the ten differences.
+The inertial parameters of the arm count as known, or known up to `link_uncertainty`; those of the last link differ by
+what it carries beyond the stated load. `regression` estimates the ten differences.
 """
 
 from __future__ import annotations
@@ -13,14 +13,16 @@ import numpy as np
 import pinocchio as pin
 from scipy.linalg import block_diag
 
-from scara_effmass.identification.regression import MIN_SIGNIFICANCE, Z_95, TorqueRegression
+from scara_effmass.identification.regression import MIN_SIGNIFICANCE, Z_95, TorqueRegression, link_parameters
 from scara_effmass.model.robot import Robot
+from scara_effmass.reference import RobotDynamics
+from scara_effmass.reference.mobility import worst_mass
 from scara_effmass.values import FloatArray
 
 BLOCKS = 10
 """Number of blocks that count, about 10 s of motion; the estimate is renewed after each."""
-SINGULAR = 1e-6
-"""Mobility [1/kg] below which an effective mass counts as infinite, with and without the load."""
+MAX_MASS = 1e6
+"""Effective mass [kg] from which on it counts as infinite, with and without the load."""
 LEVER = 0.1
 """Standard deviation of the distance of the load from its joint before anything is known, as a share of the reach."""
 
@@ -58,16 +60,15 @@ class PayloadEstimate(NamedTuple):
 class PayloadEstimator:
     """Estimates what the last link of `robot` carries beyond its stated load.
 
-    `effort_uncertainty` is the standard deviation of the relative error of torque constants, `rest_speeds` (n,) the
-    speeds [rad/s, m/s] below which a joint may rest, and `stated` [kg] the load that `robot` counts. `link_uncertainty`
-    is the standard deviation of mass and inertia of each link, relative to those of the file; 0: they are known.
+    `effort_uncertainty` is the standard deviation of the relative error of torque constants, and `stated` [kg] the load
+    that `robot` counts. `link_uncertainty` is the standard deviation of mass and inertia of each link, relative to
+    those of the file; 0: they are known.
     """
 
     def __init__(
         self,
         robot: Robot,
         *,
-        rest_speeds: FloatArray,
         effort_uncertainty: float,
         mass_uncertainty: float,
         stated: float,
@@ -79,13 +80,9 @@ class PayloadEstimator:
         self._prior = np.array([mass] + 3 * [mass * lever] + 6 * [mass * lever * lever])
         load = np.zeros((10 * robot.model.nv, 10))
         load[-10:] = np.diag(self._prior)
-        links = [
-            link_uncertainty * inertia.toDynamicParameters()[:, None] for inertia in list(robot.model.inertias)[1:]
-        ]
-        units = np.hstack((load, block_diag(*links))) if link_uncertainty else load
-        self._regression = TorqueRegression(
-            robot, units, rest_speeds=rest_speeds, effort_uncertainty=effort_uncertainty, blocks=BLOCKS
-        )
+        links = block_diag(*(link_uncertainty * link[:, None] for link in link_parameters(robot.model)))
+        units = np.hstack((load, links)) if link_uncertainty else load
+        self._regression = TorqueRegression(robot, units, effort_uncertainty, blocks=BLOCKS)
 
     def add(self, end_ns: int, means: FloatArray) -> PayloadEstimate | None:
         """Take the `means` (6, n) of an interval that ended at `end_ns`; return a new estimate, None between them."""
@@ -117,18 +114,20 @@ class PayloadEstimator:
 def mass_gain(robot: Robot, mass: float, moment: FloatArray) -> float:
     """Return by how much a further `mass` [kg] multiplies the largest effective mass of a contact point at any pose.
 
-    `moment` (3,) [kg m] is `mass` times CoM in the frame of the last joint. The poses are the sampled ones.
+    `moment` (3,) [kg m] is `mass` times CoM in the frame of the last joint. The poses are the sampled ones; at singular
+    ones the mass is infinite with and without the load, and does not count.
     """
     heavier = robot.model.copy()
     load = pin.Inertia(mass, moment / mass, np.zeros((3, 3)))
     heavier.appendBodyToJoint(heavier.njoints - 1, load, pin.SE3.Identity())
     models = [(model, model.createData()) for model in (robot.model, heavier)]
+    contacts = RobotDynamics(robot).contacts
     gain = 1.0
     for q in robot.sample_configurations():
         inverses = [np.linalg.inv(robot.mass_matrix(model, data, q)) for model, data in models]
-        for frame in robot.contact_frames.values():
-            jacobian = pin.computeFrameJacobian(*models[0], q, frame, pin.LOCAL_WORLD_ALIGNED)[:3]
-            least = [float(np.linalg.eigvalsh(jacobian @ inverse @ jacobian.T)[0]) for inverse in inverses]
-            if least[0] > SINGULAR:
-                gain = max(gain, least[0] / least[1])
+        for contact in contacts:
+            jacobian = pin.computeFrameJacobian(*models[0], q, contact.frame, pin.LOCAL_WORLD_ALIGNED)[:3]
+            without, loaded = (worst_mass(jacobian @ inverse @ jacobian.T, contact.rank) for inverse in inverses)
+            if without < MAX_MASS:
+                gain = max(gain, loaded / without)
     return gain

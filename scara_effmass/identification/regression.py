@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from scara_effmass.kernel.admission import METRES_PER_RADIAN
 from scara_effmass.kernel.intervals import HIGHEST, LOWEST, QD, QDD, TORQUE, Q
 from scara_effmass.model.robot import Robot
 from scara_effmass.values import FloatArray
@@ -27,6 +28,8 @@ from scara_effmass.values import FloatArray
 INTERVALS_PER_ROW = 4
 """Number of intervals whose equations are averaged: the errors of qd at their common ends cancel, so that their effect
 on qdd, which makes the arm look lighter, stays small."""
+REST_SPEED = 0.01
+"""Speed below which a joint may rest [rad/s; a quarter of it in m/s]."""
 ROWS_PER_BLOCK = 12
 """Number of rows with motion of a block, about 1 s."""
 Z_95 = 1.959963984540054
@@ -50,6 +53,11 @@ _OWN = 3
 _ITERATIONS, _FREE_ITERATIONS = 8, 5
 
 
+def link_parameters(model: pin.Model) -> FloatArray:
+    """Return the inertial parameters (n, 10) of the moving links of `model`."""
+    return np.array([inertia.toDynamicParameters() for inertia in list(model.inertias)[1:]])
+
+
 class Solution(NamedTuple):
     """What the torques say. `parameters` (p,) and their `covariance` (p, p) are in units of the prior.
 
@@ -64,6 +72,18 @@ class Solution(NamedTuple):
     torques: FloatArray
     residuals: FloatArray
     unfit: str
+
+
+class _System(NamedTuple):
+    """The last linearized equations: weighted products and what linearizes them (n, p + 4, p + 4).
+
+    `noise` (n,) are the variances of the rows, `scales` (n,) those of the torques [N m, N].
+    """
+
+    weighted: FloatArray
+    columns: FloatArray
+    noise: FloatArray
+    scales: FloatArray
 
 
 class _Block:
@@ -84,22 +104,16 @@ class TorqueRegression:
     """Estimates p inertial parameters of `robot` over the last `blocks` blocks of motion, or over all if None.
 
     `units` (10 n, p) are the changes of the links' parameters for one standard deviation of each parameter before
-    anything is known. `effort_uncertainty` is the standard deviation of the relative error of torque constants,
-    `rest_speeds` (n,) the speeds [rad/s, m/s] below which a joint may rest.
+    anything is known. `effort_uncertainty` is the standard deviation of the relative error of torque constants.
     """
 
     def __init__(
-        self,
-        robot: Robot,
-        units: FloatArray,
-        *,
-        rest_speeds: FloatArray,
-        effort_uncertainty: float,
-        blocks: int | None = None,
+        self, robot: Robot, units: FloatArray, effort_uncertainty: float, *, blocks: int | None = None
     ) -> None:
         self._robot, self._data, self._units = robot, robot.model.createData(), units
         self._joints, self._parameters = robot.model.nv, units.shape[1]
-        self._rest_speeds, self._effort_uncertainty = rest_speeds, effort_uncertainty
+        self._rest_speeds = REST_SPEED * np.where(robot.revolute, 1.0, METRES_PER_RADIAN)
+        self._effort_uncertainty = effort_uncertainty
         self._limits = robot.effort_limits
         self._past, self._past_sums = self._empty(), list[FloatArray]()
         self._blocks, self._keeps_all = deque([self._empty()], blocks), blocks is None
@@ -134,7 +148,7 @@ class TorqueRegression:
     def gram(self) -> FloatArray:
         """Y^T Y (p, p) of the rows in motion, whose torques count in units of the joint's scale."""
         products = np.sum([block.products for block in self._all()], axis=0)
-        scales = self._scales(products, self.counts)
+        _, scales = self._torques(products, self.counts)
         weighted = products[:, : self._parameters, : self._parameters] / (scales**2)[:, None, None]
         return np.asarray(weighted.sum(axis=0))
 
@@ -145,8 +159,7 @@ class TorqueRegression:
         resting = np.sum([block.resting for block in blocks], axis=0)
         sums = np.array([*self._past_sums, *(block.sums for block in self._blocks)])
         joints, counts, p = self._joints, self.counts, self._parameters
-        torques = np.sqrt(products[:, -1, -1] / np.maximum(counts, 1.0))
-        scales = self._scales(products, counts)
+        torques, scales = self._torques(products, counts)
         least = (1e-6 * scales) ** 2
         friction, noise, inflation = FRICTION * scales, np.maximum(torques**2, least), np.ones(joints)
         solution, unfit = np.zeros(p + _OWN * joints), ""
@@ -167,8 +180,8 @@ class TorqueRegression:
             friction = np.hypot(own[:, 0], deviations[p::_OWN])
             if iteration == _FREE_ITERATIONS - 1:
                 unfit = self._unfit(own[:, 2], deviations[p + 2 :: _OWN])
-        self._noise = np.where(counts > 0.0, noise * inflation, (NOISE * scales) ** 2)
-        self._weighted, self._linearized = weighted, columns
+        noise_of_rows = np.where(counts > 0.0, noise * inflation, (NOISE * scales) ** 2)
+        self._solved = _System(weighted, columns, noise_of_rows, scales)
         return Solution(solution[:p], covariance[:p, :p], own[:, :2], own[:, 2], torques, np.sqrt(noise), unfit)
 
     def telling_joint(self, parameter: int) -> str:
@@ -178,13 +191,14 @@ class TorqueRegression:
         """
         joints, speeds = self._joints, np.asarray(self._robot.model.velocityLimit)
         speeds = TRIAL_SPEED * np.where((speeds > 0.0) & (speeds < np.inf), speeds, 1.0)
-        columns, scales, deviations = self._linearized, self._scales(self._weighted, self.counts), []
+        weighted, columns, noise, scales = self._solved
+        deviations = []
         for j, speed in enumerate(speeds):
-            products = self._weighted.copy()
+            products = weighted.copy()
             for v, a in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
                 motion = speed * np.eye(joints)[j]
                 row = self._rows(self._q, v * motion, a * motion / TRIAL_TIME_S, np.zeros(joints))[j]
-                products[j] += 0.25 * ROWS_PER_BLOCK / self._noise[j] * np.outer(row, row)
+                products[j] += 0.25 * ROWS_PER_BLOCK / noise[j] * np.outer(row, row)
             linearized = columns.transpose(0, 2, 1) @ products @ columns
             _, covariance = self._solve(linearized, scales, self._effort_uncertainty)
             deviations.append(covariance[parameter, parameter])
@@ -224,10 +238,10 @@ class TorqueRegression:
             self._past_sums.append(block.sums)
         self._blocks.append(self._empty())
 
-    def _scales(self, products: FloatArray, counts: FloatArray) -> FloatArray:
-        """Return the scale (n,) of the torque of each joint: its limit, or what was measured."""
+    def _torques(self, products: FloatArray, counts: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return root mean square and scale (n,) of the torque of each joint; its limit, or what was measured."""
         torques = np.sqrt(products[:, -1, -1] / np.maximum(counts, 1.0))
-        return np.maximum(np.where(np.isfinite(self._limits), self._limits, torques), MIN_TORQUE)
+        return torques, np.maximum(np.where(np.isfinite(self._limits), self._limits, torques), MIN_TORQUE)
 
     def _solve(self, products: FloatArray, scales: FloatArray, uncertainty: float) -> tuple[FloatArray, FloatArray]:
         """Return mean and covariance of the parameters by `products` (n, p + 4, p + 4), already weighted."""

@@ -282,7 +282,7 @@ def admit(
     rows = states.view(STATE)
     for row in range(len(rows)):
         state = rows[row]
-        state.is_cleared = state.is_watchdog = 0
+        state.is_cleared = state.is_watchdog = state.doubt = 0
         state.age = (state.now_ns - state.stamp_ns) / 1e9 if state.stamp_ns > 0 else 0.0
         if int(state.reason[CODE]) == Reason.UNDECODABLE:
             state.is_admitted = 0

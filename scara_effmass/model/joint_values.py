@@ -29,13 +29,22 @@ def max_joint_accelerations(entries: Sequence[str], joints: Sequence[str]) -> Fl
     stated: dict[str, float] = {}
     for entry in (entry for entry in entries if "=" not in entry):
         stated |= {name: value for name, value in _of_file(Path(entry)).items() if name in joints}
-    stated |= joint_values([entry for entry in entries if "=" in entry], joints, "max_joint_acceleration", _RULE)
+    stated |= _joint_values([entry for entry in entries if "=" in entry], joints, "max_joint_acceleration", _RULE)
     if missing := [name for name in joints if name not in stated]:
         raise RobotError(f"max_joint_acceleration: must be stated for every joint: it is missing for {missing[0]}")
     return np.array([stated[name] for name in joints])
 
 
-def joint_values(entries: Sequence[str], joints: Sequence[str], setting: str, rule: str = _VALUE) -> dict[str, float]:
+def torque_constants(entries: Sequence[str], joints: Sequence[str]) -> FloatArray:
+    """Return the torque (n,) per unit of effort of each of the `joints`, 1 by default, of `entries` "joint=value".
+
+    Raises RobotError for a wrong entry.
+    """
+    stated = _joint_values(entries, joints, "torque_constants", _VALUE)
+    return np.array([stated.get(name, 1.0) for name in joints])
+
+
+def _joint_values(entries: Sequence[str], joints: Sequence[str], setting: str, rule: str) -> dict[str, float]:
     """Return the number of each joint that `entries` "joint=value" state. Raises RobotError for a wrong one."""
     stated: dict[str, float] = {}
     for entry in entries:

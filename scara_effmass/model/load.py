@@ -42,7 +42,12 @@ ROBOT_FORMATS: dict[str, RobotFormat] = {
     ".yaml": load_dh,
     ".yml": load_dh,
 }
-"""Loader by file suffix; a file with another suffix, such as .xml, is read as URDF."""
+"""Loader by file suffix."""
+
+
+def loader_of(path: Path) -> RobotFormat:
+    """Return what loads the file; one with an unknown suffix, such as .xml, is read as URDF."""
+    return ROBOT_FORMATS.get(path.suffix.lower(), load_urdf)
 
 
 def load_robot(path: Path | None = None, settings: MonitorSettings | None = None) -> Robot:
@@ -52,7 +57,7 @@ def load_robot(path: Path | None = None, settings: MonitorSettings | None = None
     """
     settings = settings or MonitorSettings()
     path = path or settings.robot_path
-    return build_robot(ROBOT_FORMATS.get(path.suffix.lower(), load_urdf)(path, settings), settings)
+    return build_robot(loader_of(path)(path, settings), settings)
 
 
 def build_robot(stated: RobotDescription, settings: MonitorSettings) -> Robot:

@@ -12,9 +12,8 @@ from collections.abc import Set as AbstractSet
 from contextlib import suppress
 from typing import Any
 
-from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import Inertia, Vector3
+from geometry_msgs.msg import Inertia
 from rclpy.clock import ClockChange, JumpHandle, JumpThreshold, TimeJump
 from rclpy.duration import Duration
 from rclpy.event_handler import QoSSubscriptionMatchedInfo
@@ -50,7 +49,7 @@ from scara_effmass.wire import topics
 from scara_effmass.wire.cdr import header_stamp_ns
 from scara_effmass.wire.contact_states import ContactStatesEncoder, float64_message
 from scara_effmass.wire.joint_state import JointStateDecoder
-from scara_effmass.wire.payload import decode_payload
+from scara_effmass.wire.payload import decode_payload, payload_estimate_message
 
 _WATCHDOG_CHECKS_PER_TIMEOUT = 4
 _MIN_WATCHDOG_PERIOD_S = 1e-3
@@ -77,10 +76,7 @@ class NodeSettings(parameters.NodeParameters, MonitorSettings):
 
 
 class MonitorNode(LifecycleBase):
-    """Subscribes to `joint_states`; publishes `contact_states`, `speed_scaling`, `allowable_speed`, `payload_estimate`.
-
-    And `/diagnostics`.
-    """
+    """Subscribes to `joint_states`; publishes `topics.MONITOR_OUTPUTS` and `/diagnostics`."""
 
     def __init__(self) -> None:
         """Declare the parameters. Raises SettingsError for an invalid one."""
@@ -285,37 +281,20 @@ class MonitorNode(LifecycleBase):
                     assessments = monitor.settle(late)
                 self._last_answer_ns = start_ns
                 self._publish(assessments)
-                self._publish_load(monitor)
                 received_ns = info["received_timestamp"]
                 self._latencies.add(time.time_ns() - received_ns, int(assessments.states["stamp_ns"][0]))
+                self._publish_load(monitor)
 
     def _publish_load(self, monitor: Monitor) -> None:
         """Publish the load by the torques where there is a new estimate, and log what it begins or ceases to doubt."""
-        watch, robot = monitor.load_watch, monitor.dynamics.robot
+        watch = monitor.load_watch
         if watch.doubt != self._load_doubt:
             self._load_doubt = watch.doubt
             self.get_logger().warning(watch.doubt.text or f"load by the torques: {watch.text}")
         if watch.estimate is self._load_estimate or watch.estimate is None:
             return
-        self._load_estimate = estimate = watch.estimate
-        lower, upper = estimate.interval
-        message = PayloadEstimate(
-            mass=estimate.mass,
-            mass_lower=lower,
-            mass_upper=upper,
-            stated_mass=estimate.stated,
-            moment=Vector3(**dict(zip("xyz", estimate.moment.tolist(), strict=True))),
-            moment_deviation=Vector3(**dict(zip("xyz", estimate.moment_deviations.tolist(), strict=True))),
-            is_observable=estimate.is_observable and not estimate.unfit,
-            text=watch.text,
-            joint_names=robot.joint_names,
-            coulomb_friction=estimate.friction[:, 0].tolist(),
-            viscous_friction=estimate.friction[:, 1].tolist(),
-            effort_error=estimate.scale_errors.tolist(),
-        )
-        seconds, nanoseconds = divmod(estimate.stamp_ns, 1_000_000_000)
-        message.header.stamp = Time(sec=seconds, nanosec=nanoseconds)
-        message.header.frame_id = robot.last_link
+        self._load_estimate = watch.estimate
+        message = payload_estimate_message(watch.estimate, watch.text, monitor.dynamics.robot)
         with self._output_lock:
             if self._publishing:
                 self._estimates.publish(message)

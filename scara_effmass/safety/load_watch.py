@@ -4,25 +4,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from typing import NamedTuple
-
-import numpy as np
 
 from scara_effmass.codes import Reason
 from scara_effmass.identification.payload import PayloadEstimate, PayloadEstimator, mass_gain
-from scara_effmass.kernel.admission import METRES_PER_RADIAN
 from scara_effmass.kernel.intervals import Intervals
 from scara_effmass.kernel.records import IntArray
-from scara_effmass.model.joint_values import joint_values
-from scara_effmass.model.robot import Robot
+from scara_effmass.model.joint_values import torque_constants
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import FloatArray
 
 ALARM = 5.0
 """Standard deviations by which the load must be above the stated one to count as heavier."""
-REST_SPEED = 0.01
-"""Speed below which a joint may rest [rad/s; a quarter of it in m/s]."""
 
 
 class Doubt(NamedTuple):
@@ -30,17 +25,6 @@ class Doubt(NamedTuple):
 
     reason: Reason = Reason.NONE
     text: str = ""
-
-
-def torque_constants_of(robot: Robot, settings: MonitorSettings) -> FloatArray:
-    """Return the torque (n,) per unit of effort. Raises RobotError for `torque_constants` of no joint."""
-    stated = joint_values(settings.torque_constants, robot.joint_names, "torque_constants")
-    return np.array([stated.get(name, 1.0) for name in robot.joint_names])
-
-
-def rest_speeds_of(robot: Robot) -> FloatArray:
-    """Return the speeds (n,) below which the joints may rest [rad/s, m/s]."""
-    return REST_SPEED * np.where(robot.revolute, 1.0, METRES_PER_RADIAN)
 
 
 def _used(settings: MonitorSettings) -> tuple[object, ...]:
@@ -65,8 +49,8 @@ class LoadWatch:
         """Compare with the load of `dynamics`. Raises RobotError for `torque_constants` of no joint."""
         robot = dynamics.robot
         self._dynamics, self._settings = dynamics, _used(settings)
-        self._robot, self._margin = robot, 1.0 + settings.mass_uncertainty
-        self._constants = torque_constants_of(robot, settings)
+        self._margin = 1.0 + settings.mass_uncertainty
+        self._constants = torque_constants(settings.torque_constants, robot.joint_names)
         self.why_not = ""
         if not settings.effort_uncertainty:
             self.why_not = "effort_uncertainty is 0"
@@ -74,10 +58,15 @@ class LoadWatch:
             self.why_not = f"it needs the full mass: {dynamics.full_reason}"
         elif settings.filters_velocity:
             self.why_not = "it needs velocities as reported"
-        self._stated = robot.payload_mass
-        self._rest_speeds = rest_speeds_of(robot)
-        self._effort_uncertainty, self._mass_uncertainty = settings.effort_uncertainty, settings.mass_uncertainty
-        self._timeout_s, self._link_uncertainty = settings.timeout, settings.link_uncertainty
+        self._new_intervals = partial(Intervals, robot.periods, settings.timeout)
+        self._new_estimator = partial(
+            PayloadEstimator,
+            robot,
+            effort_uncertainty=settings.effort_uncertainty,
+            mass_uncertainty=settings.mass_uncertainty,
+            stated=robot.payload_mass,
+            link_uncertainty=settings.link_uncertainty,
+        )
         self.forget()
 
     def is_of(self, dynamics: RobotDynamics, settings: MonitorSettings) -> bool:
@@ -86,22 +75,15 @@ class LoadWatch:
 
     def forget(self) -> None:
         """Discard the joint states so far."""
-        self._intervals = Intervals(self._robot.periods, self._timeout_s)
-        self._estimator = PayloadEstimator(
-            self._robot,
-            rest_speeds=self._rest_speeds,
-            effort_uncertainty=self._effort_uncertainty,
-            mass_uncertainty=self._mass_uncertainty,
-            stated=self._stated,
-            link_uncertainty=self._link_uncertainty,
-        )
+        self._intervals, self._estimator = self._new_intervals(), self._new_estimator()
         self.estimate: PayloadEstimate | None = None
         self.doubt = Doubt()
 
     def watch(self, stamps: IntArray, q: FloatArray, qd: FloatArray, effort: FloatArray) -> Iterator[tuple[int, Doubt]]:
-        """Yield what is in doubt from which of the next N joint states on; `effort` (N, n) as received."""
-        if self.why_not:
-            return
+        """Yield what is in doubt from which of the next N joint states on, unless `why_not`.
+
+        `effort` (N, n) is as received.
+        """
         rows, means = self._intervals.add(stamps, q, qd, effort * self._constants)
         for row, mean in zip(rows.tolist(), means, strict=True):
             estimate = self._estimator.add(int(stamps[row]), mean)
@@ -137,5 +119,5 @@ class LoadWatch:
 
     def _exceeds_margin(self, estimate: PayloadEstimate) -> bool:
         """Return whether the load adds more than `mass_uncertainty` to the largest effective mass anywhere."""
-        gain = mass_gain(self._robot, estimate.mass - estimate.stated, estimate.moment)
-        return gain > self._margin
+        load = estimate.mass - estimate.stated
+        return mass_gain(self._dynamics.robot, load, estimate.moment) > self._margin

@@ -129,7 +129,8 @@ class Monitor:
         )
         self.ignored = 0
         self._payload: Payload | None = None
-        self._load_watch = LoadWatch(dynamics, settings)
+        self.load_watch = LoadWatch(dynamics, settings)
+        """What the torques of the joints say of the load."""
         self._distrusted: dict[str, tuple[Reason, str]] = {}
         self._command_number, self._command_conflict_ns = NO_SEQUENCE, 0
         self._other_names: tuple[str, ...] = ()
@@ -223,13 +224,8 @@ class Monitor:
         self._normal = f"{settings.contact_normal} {settings.contact_normal_frame}".strip()
         self._points = self.dynamics.contact_points
         self._single = self._new_pending(1)
-        if not self._load_watch.is_of(self.dynamics, settings):
-            self._load_watch = LoadWatch(self.dynamics, settings)
-
-    @property
-    def load_watch(self) -> LoadWatch:
-        """What the torques of the joints say of the load."""
-        return self._load_watch
+        if not self.load_watch.is_of(self.dynamics, settings):
+            self.load_watch = LoadWatch(self.dynamics, settings)
 
     @property
     def core(self) -> str:
@@ -312,7 +308,7 @@ class Monitor:
         forget_all(*self._memory_bytes[1:3])
         self._adapter.forget()
         self._others.forget()
-        self._load_watch.forget()
+        self.load_watch.forget()
         self._forget_verdicts()
 
     def _forget_verdicts(self) -> None:
@@ -580,15 +576,17 @@ class Monitor:
 
     def _watch_load(self, pending: Pending, layout: Layout, effort: FloatArray) -> None:
         """Doubt or refuse the admitted joint states while the torques show a heavier load than the stated one."""
-        records, watch = pending.records, self._load_watch
+        records, watch = pending.records, self.load_watch
         before = watch.doubt
+        has_effort = effort.shape[-1] == len(layout.names) and not watch.why_not
+        if not has_effort and not before.reason:
+            return
         changes: list[tuple[int, Doubt]] = []
-        if effort.shape[-1] == len(layout.names) and not watch.why_not:
+        if has_effort:
             rows = np.flatnonzero(records["is_admitted"])
             torque = effort.reshape(len(records), -1)[np.ix_(rows, layout.order)]
             found = watch.watch(records["stamp_ns"][rows], pending.q[rows], pending.qd[rows], torque)
             changes = [(int(rows[row]), doubt) for row, doubt in found]
-        records["doubt"] = 0
         for (start, doubt), (stop, _) in pairwise([(0, before), *changes, (len(records), Doubt())]):
             if doubt.reason:
                 part, text = records[start:stop], self._detail(doubt.text)

@@ -23,7 +23,7 @@ from scara_effmass.kernel.intervals import Intervals
 from scara_effmass.kernel.records import IntArray
 from scara_effmass.model.load import load_robot
 from scara_effmass.model.robot import Robot
-from scara_effmass.safety.load_watch import ALARM, rest_speeds_of
+from scara_effmass.safety.load_watch import ALARM
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
 from scara_effmass.values import FloatArray
@@ -157,7 +157,6 @@ def estimated(robot: Robot, states: States, load: float, link_uncertainty: float
     """Estimate the load of simulated joint states that state none."""
     estimator = PayloadEstimator(
         robot,
-        rest_speeds=rest_speeds_of(robot),
         effort_uncertainty=MonitorSettings().effort_uncertainty,
         mass_uncertainty=MonitorSettings().mass_uncertainty,
         stated=0.0,

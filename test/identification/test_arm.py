@@ -13,14 +13,13 @@ from scara_effmass.identification.arm import (
     effective_mass,
     effective_masses,
     identify_arm,
-    link_parameters,
-    pseudo_inertia,
     with_parameters,
 )
+from scara_effmass.identification.regression import link_parameters
 from scara_effmass.kernel.intervals import Intervals
 from scara_effmass.model.robot import Robot
-from scara_effmass.safety.load_watch import rest_speeds_of
 from scara_effmass.studies.load import CASES, Case, States, robot_of, simulated
+from test.identification.conftest import planar_arm
 
 SCARA, UR10, PANDA = CASES[:3]
 
@@ -36,7 +35,7 @@ def wrong(robot: Robot, factors: Sequence[float]) -> pin.Model:
 
 def estimated(robot: Robot, states: States) -> ArmEstimate:
     _, means = Intervals(robot.periods, 0.1).add(*states)
-    found = identify_arm(robot, means, rest_speeds=rest_speeds_of(robot), effort_uncertainty=0.03)
+    found = identify_arm(robot, means, 0.03)
     assert found is not None
     return found
 
@@ -62,7 +61,8 @@ def test_every_link_is_a_body() -> None:
     for seed in range(3):
         robot = robot_of(UR10)
         found = estimated(robot, simulated(robot, UR10, 0.0, 8.0, np.random.default_rng(seed)))
-        assert all(np.linalg.eigvalsh(pseudo_inertia(parameters))[0] > 0.0 for parameters in found.parameters)
+        matrices = [pin.PseudoInertia.FromDynamicParameters(link).toMatrix() for link in found.parameters]
+        assert all(np.linalg.eigvalsh(matrix)[0] > 0.0 for matrix in matrices)
 
 
 def test_a_right_file_is_confirmed() -> None:
@@ -73,22 +73,7 @@ def test_a_right_file_is_confirmed() -> None:
 
 def test_base_parameters_of_a_planar_arm_are_those_counted_by_hand() -> None:
     """Two parallel horizontal axes: I1 + m2 l^2, m1 c1 + m2 l (2 of the CoM), I2 and m2 c2 (2); Khalil & Dombre."""
-    model = pin.Model()
-    arm = robot_of(SCARA)
-    axis = pin.JointModelRY()
-    for number, place in enumerate((pin.SE3.Identity(), pin.SE3(np.eye(3), np.array([0.4, 0.0, 0.0])))):
-        joint = model.addJoint(number, axis, place, f"joint{number + 1}")
-        model.appendBodyToJoint(
-            joint, pin.Inertia(2.0, np.array([0.2, 0.0, 0.02]), 0.02 * np.eye(3)), pin.SE3.Identity()
-        )
-    model.lowerPositionLimit, model.upperPositionLimit = np.full(2, -3.0), np.full(2, 3.0)
-    model.effortLimit, model.velocityLimit = np.full(2, 50.0), np.full(2, 3.0)
-    model.armature = np.zeros(2)
-    tool = model.addFrame(
-        pin.Frame("tool", 2, 0, pin.SE3(np.eye(3), np.array([0.4, 0.0, 0.0])), pin.FrameType.OP_FRAME)
-    )
-    rotors = replace(robot_of(UR10).rotors, matrix=np.zeros((2, 2)))
-    planar = replace(arm, model=model, contact_frames={"tool": tool}, rotors=rotors, hulls={})
+    planar = planar_arm()
     found = estimated(planar, simulated(planar, UR10, 0.0, 10.0, np.random.default_rng(2)))
     assert found.base.identifiable == found.base.rank == 6
 
@@ -108,4 +93,4 @@ def test_gradient_is_that_of_finite_differences() -> None:
 
 def test_no_motion_gives_no_estimate() -> None:
     robot = robot_of(UR10)
-    assert identify_arm(robot, [], rest_speeds=rest_speeds_of(robot), effort_uncertainty=0.03) is None
+    assert identify_arm(robot, [], 0.03) is None

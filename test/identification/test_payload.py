@@ -13,15 +13,13 @@ from scara_effmass.model.load import load_robot
 from scara_effmass.model.robot import Robot
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.studies.load import CASES, Case, States, robot_of, run, simulated
+from test.identification.conftest import planar_arm
 
 SCARA, UR10, PANDA = CASES[:3]
 
 
 def estimates(robot: Robot, states: States, stated: float = 0.0) -> list[PayloadEstimate]:
-    per_joint = np.where(robot.revolute, 1.0, 0.25)
-    estimator = PayloadEstimator(
-        robot, rest_speeds=0.01 * per_joint, effort_uncertainty=0.03, mass_uncertainty=0.1, stated=stated
-    )
+    estimator = PayloadEstimator(robot, effort_uncertainty=0.03, mass_uncertainty=0.1, stated=stated)
     rows, means = Intervals(robot.periods, 0.1).add(*states)
     found = [estimator.add(int(states.stamps[row]), mean) for row, mean in zip(rows, means, strict=True)]
     return [estimate for estimate in found if estimate]
@@ -100,3 +98,8 @@ def test_mass_gain_is_the_ratio_of_effective_masses() -> None:
         lightest.append(1.0 / np.linalg.eigvalsh(jacobian @ inverse @ jacobian.T)[0])
     assert gain == pytest.approx(1.0 + 2.0 / min(lightest), rel=1e-9)
     assert mass_gain(robot, 0.0 + 1e-9, np.zeros(3)) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_mass_gain_counts_where_a_point_moves_in_a_plane_alone() -> None:
+    """Across the plane its mass is infinite, with and without the load."""
+    assert mass_gain(planar_arm(), 2.0, 2.0 * np.array([0.4, 0.0, 0.0])) > 1.5
