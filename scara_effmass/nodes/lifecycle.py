@@ -230,16 +230,23 @@ class LifecycleBase(LifecycleNode):
 
     def create_steady_timer(self, period_s: float, callback: Callable[[], None], *, owned: bool = True) -> Timer:
         """Return a timer in steady time, which runs even if /clock stands still or jumps."""
+        ended = threading.Event()
 
         def call() -> None:
+            if ended.is_set():  # the executor had it in its queue
+                return
             try:
                 callback()
             except RCLError:
                 if self.context.ok():  # else a signal has ended it meanwhile
                     raise
 
+        def destroy(timer: Timer) -> None:
+            ended.set()
+            self.destroy_timer(timer)
+
         timer = self.create_timer(period_s, call, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        return self.own(timer, self.destroy_timer) if owned else timer
+        return self.own(timer, destroy) if owned else timer
 
     def create_status_timer(self, period_s: float, log: Callable[[], None]) -> None:
         """Call `log` every `period_s` [s] while the node is active; 0: never."""

@@ -13,6 +13,7 @@ import pytest
 import rclpy
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 
@@ -64,6 +65,20 @@ def test_timer_whose_context_ends_meanwhile_logs_nothing(capfd: pytest.CaptureFi
     node.destroy_node()
     assert ended
     assert "FATAL" not in capfd.readouterr().err
+
+
+@pytest.mark.usefixtures("own_domain")
+def test_timer_that_the_executor_has_queued_does_not_call_after_clean_up() -> None:
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    node, calls = LifecycleBase("cleaned"), list[str]()
+    timer = node.create_steady_timer(60.0, lambda: calls.append("called"))
+    queued = timer.callback
+    queued()
+    assert node.on_cleanup(LifecycleState("inactive", 2)) is TransitionCallbackReturn.SUCCESS
+    queued()
+    assert calls == ["called"]
+    node.destroy_node()
+    rclpy.shutdown()
 
 
 @pytest.mark.live
