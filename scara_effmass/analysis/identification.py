@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Identify the masses of an arm from a recording with effort: report, pictures and corrected robot file."""
+"""Identify the masses of an arm from a recording with effort, and report them."""
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,19 +16,17 @@ from scara_effmass.errors import BagError, RobotError
 from scara_effmass.identification.arm import (
     ArmEstimate,
     EffectiveMasses,
+    PointMasses,
     effective_masses,
     identify_arm,
-    with_parameters,
 )
-from scara_effmass.identification.regression import Z_95, link_parameters
-from scara_effmass.input_files import digest
+from scara_effmass.identification.regression import Z_95
 from scara_effmass.kernel.intervals import Intervals
-from scara_effmass.model.joint_values import torque_constants
 from scara_effmass.model.load import load_robot
 from scara_effmass.model.robot import Robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety.joint_state_adapter import JointStateAdapter
-from scara_effmass.settings import MonitorSettings
+from scara_effmass.settings import MassModel, MonitorSettings
 from scara_effmass.values import FloatArray
 
 CONFIGURATIONS = 200
@@ -113,6 +110,7 @@ class Identification(NamedTuple):
                     strict=True,
                 )
             ],
+            "point_masses": _as_lists(estimate.point_masses),
             "effective_mass": {
                 "configurations": CONFIGURATIONS,
                 "identified_over_file": _percentiles(self.ratios),
@@ -133,13 +131,18 @@ class Identification(NamedTuple):
         advice = ": poor, move all joints to and fro, at several poses" if poor else ""
         yield "motion", f"{text}, condition number {base.condition_number:.3g}{advice}"
         if estimate.is_projected:
-            yield "consistency", "the nearest bodies count: least squares alone gives a link that no body can be"
+            yield "consistency", "the nearest links that can be count: least squares alone gives one that cannot"
+        if estimate.point_masses:
+            masses = zip(estimate.point_masses.on_axes, estimate.point_masses.axes_deviations, strict=True)
+            text = ", ".join(f"{mass:.3f} ± {Z_95 * deviation:.3f}" for mass, deviation in masses)
+            yield "lumped masses", f"by axis, from the base: {text} kg"
         ratio, half = _percentiles(self.ratios), _percentiles(self.half_intervals)
         text = "identified over file {median:.3f} (5 % {p5:.3f}, 95 % {p95:.3f})".format(**ratio)
         within = f"within {100 * half['median']:.1f} % (95 % of the workspace {100 * half['p95']:.1f} %)"
         yield "effective mass", f"{text}, {within}"
         of_file, corrected = self.mass_uncertainties
-        yield "mass_uncertainty", f"{of_file:.3f} for the robot file as it is, {corrected:.3f} for the corrected one"
+        text = f"mass_uncertainty {of_file:.3f} for the robot file as it is, {corrected:.3f} for the corrected one"
+        yield "uncertainty", text
 
     def rows(self) -> Iterator[tuple[object, ...]]:
         """Yield what HEADINGS names, per joint."""
@@ -147,6 +150,8 @@ class Identification(NamedTuple):
         for j, name in enumerate(self.robot.joint_names):
             stated, mass, half = estimate.stated[j, 0], estimate.parameters[j, 0], Z_95 * estimate.deviations[j, 0]
             found = f"{mass:.3g} ± {half:.2g}" if estimate.is_known[j, 0] else "not by itself"
+            if estimate.point_masses:
+                found = " and ".join(f"{mass:.3g}" for mass in estimate.point_masses.identified[j])
             numbers = (
                 *solution.friction[j],
                 100.0 * solution.scale_errors[j],
@@ -160,6 +165,10 @@ def _finite(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
+def _as_lists(masses: PointMasses | None) -> dict[str, object] | None:
+    return None if masses is None else {name: values.tolist() for name, values in masses._asdict().items()}
+
+
 def _percentiles(values: FloatArray) -> dict[str, float]:
     p5, median, p95 = np.percentile(values, [5.0, 50.0, 95.0]).tolist()
     return {"p5": p5, "median": median, "p95": p95, "largest": float(values.max())}
@@ -168,13 +177,17 @@ def _percentiles(values: FloatArray) -> dict[str, float]:
 def identify(path: Path, settings: MonitorSettings, topic: str | None = None) -> Identification:
     """Return the masses of the robot of `settings` by the recording at `path`.
 
-    Raises BagError for one without effort or motion, and RobotError for a robot without inertia tensors.
+    They are those of the lumped model for a robot without inertia tensors, and where the settings choose it. Raises
+    BagError for a recording without effort or motion, and RobotError for a robot without masses or centres of mass.
     """
     robot = load_robot(settings.robot_path, settings)
-    if missing := RobotDynamics(robot).full_reason:
-        raise RobotError(f"{robot.origin}: identification starts from masses and inertias: {missing}")
+    dynamics = RobotDynamics(robot)
+    is_lumped = dynamics.full_reason or settings.effective_mass_model is MassModel.LUMPED
+    if is_lumped and dynamics.lumped is None:
+        raise RobotError(
+            f"{robot.origin}: identification starts from masses: {dynamics.full_reason or dynamics.lumped_reason}"
+        )
     adapter = JointStateAdapter(robot.joint_names, settings, robot.periods, robot.held)
-    constants = torque_constants(settings.torque_constants, robot.joint_names)
     intervals, means = Intervals(robot.periods, settings.timeout), list[FloatArray]()
     used = count = 0
     has_torque = False
@@ -191,7 +204,7 @@ def identify(path: Path, settings: MonitorSettings, topic: str | None = None) ->
             effort = block.effort[:, layout.order]
             has_torque |= bool(np.any(effort != 0.0))
             used += size
-            means += [*intervals.add(block.stamp_ns, q, qd, effort * constants)[1]]
+            means += [*intervals.add(block.stamp_ns, q, qd, effort * robot.torque_constants)[1]]
     if not used or not has_torque:
         problem = (
             "the effort is 0 throughout"
@@ -199,54 +212,8 @@ def identify(path: Path, settings: MonitorSettings, topic: str | None = None) ->
             else f"none of {count} joint states of the robot has velocity and effort"
         )
         raise BagError(f"{path}: {problem}: must hold the torques of the joints")
-    estimate = identify_arm(robot, means, settings.effort_uncertainty)
+    lumped = dynamics.lumped if is_lumped else None
+    estimate = identify_arm(robot, means, settings.effort_uncertainty, lumped)
     if estimate is None:
         raise BagError(f"{path}: no joint moves for long enough: must hold motion of the arm")
-    return Identification(path, robot, used, count, estimate, effective_masses(robot, estimate, CONFIGURATIONS))
-
-
-def corrected_urdf(found: Identification, settings: MonitorSettings) -> bytes:
-    """Return the URDF of the robot with the identified inertias, and where they come from.
-
-    Each link behind a moving joint has all of the body that moves with it; the links fixed to it have none. Raises
-    RobotError for a link that is lighter than its stated load.
-    """
-    robot, path = found.robot, settings.robot_path
-    bare = load_robot(path, settings.model_copy(update={"payload_mass": 0.0, "payload_inertia": (0.0,) * 6}))
-    load = link_parameters(robot.model) - link_parameters(bare.model)
-    root = ET.fromstring(path.read_bytes())  # noqa: S314 - a local file that the robot was loaded from
-    joints = {joint.get("name"): joint for joint in root.iter("joint") if joint.find("child") is not None}
-    children = {name: _link(joint, "child") for name, joint in joints.items()}
-    elements = {link.get("name"): link for link in root.findall("link")}
-    bodies = with_parameters(robot.model, found.estimate.parameters - load).inertias
-    for name, inertia in zip(robot.joint_names, list(bodies)[1:], strict=True):
-        if not inertia.mass > 0.0:
-            raise RobotError(f"{path}: the link behind {name} is lighter than its stated load: check the payload")
-        body = [children[name]]
-        for link in body:
-            fixed = (key for key, joint in joints.items() if _link(joint, "parent") == link)
-            body += [children[key] for key in fixed if key not in robot.joint_names]
-        for link in body:
-            for inertial in elements[link].findall("inertial"):
-                elements[link].remove(inertial)
-        elements[body[0]].insert(0, _inertial(inertia))
-    source = f"{found.path.name} (SHA-256 {digest(found.path, BagError)})"
-    comment = f" inertial elements identified by scara-effmass from {source} "
-    root.insert(0, ET.Comment(comment.replace("--", "- -")))
-    ET.indent(root)
-    return bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True))
-
-
-def _link(joint: ET.Element, kind: str) -> str:
-    element = joint.find(kind)
-    return "" if element is None else str(element.get("link"))
-
-
-def _inertial(inertia: Any) -> ET.Element:  # noqa: ANN401 - a pinocchio.Inertia
-    """Return the element of a body in the frame of its link."""
-    element = ET.Element("inertial")
-    ET.SubElement(element, "origin", xyz=" ".join(f"{value:.9g}" for value in inertia.lever), rpy="0 0 0")
-    ET.SubElement(element, "mass", value=f"{inertia.mass:.9g}")
-    places = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
-    ET.SubElement(element, "inertia", {name: f"{inertia.inertia[place]:.9g}" for name, place in places.items()})
-    return element
+    return Identification(path, robot, used, count, estimate, effective_masses(estimate, CONFIGURATIONS))

@@ -3,12 +3,12 @@
 
 import argparse
 
-from scara_effmass.analysis.identification import HEADINGS, corrected_urdf, identify
+from scara_effmass.analysis.identification import HEADINGS, identify
 from scara_effmass.analysis.output import check_output_files
 from scara_effmass.cli.console import print_result, print_table
 from scara_effmass.cli.options import monitor_settings, require_no_payload_topic, robot_line
-from scara_effmass.model.load import loader_of
-from scara_effmass.model.urdf import load_urdf
+from scara_effmass.errors import RobotError
+from scara_effmass.identification.corrected_robot import corrected_name, corrected_robot
 
 NAME, RESULT = "identification", "identify.json"
 
@@ -17,28 +17,30 @@ def run(args: argparse.Namespace) -> int:
     """Print the masses of the robot by a recording; return 1 if its torques do not fit the model."""
     settings = monitor_settings(args)
     require_no_payload_topic(settings, "identification")
-    is_urdf = loader_of(settings.robot_path) is load_urdf
-    corrected = settings.robot_path.with_suffix(".urdf").name
+    corrected = corrected_name(settings.robot_path)
     if args.output:
         from scara_effmass.analysis import report  # noqa: PLC0415 - matplotlib, an extra
         from scara_effmass.analysis.identification_figure import draw_identification  # noqa: PLC0415
 
-        names = [*report.figure_files([NAME]), RESULT, *[corrected] * is_urdf]
+        names = [*report.figure_files([NAME]), RESULT, corrected]
         check_output_files(args.output, names, overwrite=args.force)
     found = identify(args.bag, settings, args.topic)
     result, lines = found.as_dict(), [robot_line(found.robot, settings), *found.lines()]
     is_fit = not found.estimate.unfit
     if args.output:
         files: dict[str, dict[str, object] | bytes] = {RESULT: result}
-        if is_urdf and is_fit:
-            files[corrected] = corrected_urdf(found, settings)
+        problem = "the torques do not fit"
+        if is_fit:
+            try:
+                files[corrected] = corrected_robot(found.estimate, settings, args.bag)
+            except RobotError as error:
+                problem = str(error)
         figure = report.report_figure(NAME, "Identified masses", found.robot.name, draw_identification(found))
         report.write_report_files(args.output, files, [figure], overwrite=args.force)
         written = [*files, *report.figure_files([NAME])]
         lines.append(("written", ", ".join(str(args.output / name) for name in written)))
         if corrected not in files:
-            why = "the torques do not fit" if is_urdf else "the robot is no URDF"
-            lines.append(("no robot file", why))
+            lines.append(("no robot file", problem))
     print_result(result, lines, as_json=args.json)
     if is_fit and not args.json:
         print_table("Masses of the links, friction and torques", HEADINGS, found.rows())

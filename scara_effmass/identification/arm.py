@@ -1,24 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
 """Inertial parameters of all moving links from motion and torques, and the effective masses that follow.
 
-The prior is the robot file: the pseudo-inertia of a link is U (I + S) U^T with that of the file U U^T and a symmetric
-S whose entries have a standard deviation, as in the metric of Lee, Wensing & Park 2020 (doi:10.1109/LRA.2019.2953661),
-which has no units. The estimate is the point of the Gaussian of the regression nearest to its mean at which every
-pseudo-inertia is positive definite (Wensing, Kim & Slotine 2018, doi:10.1109/LRA.2017.2729659), by the parameters of
-its Cholesky factor (Rucker & Wensing 2022, doi:10.1109/LRA.2022.3144517).
+A robot whose inertia tensors are known has bodies for links. Otherwise the two point masses of each link of the lumped
+model are estimated, at the places that it gives them, none negative that the file does not give as such.
+
+For bodies, the prior is the robot file: the pseudo-inertia of a link is U (I + S) U^T with that of the file U U^T and a
+symmetric S whose entries have a standard deviation, as in the metric of Lee, Wensing & Park 2020
+(doi:10.1109/LRA.2019.2953661), which has no units. The estimate is the point of the Gaussian of the regression nearest
+to its mean at which every pseudo-inertia is positive definite (Wensing, Kim & Slotine 2018,
+doi:10.1109/LRA.2017.2729659), by the parameters of its Cholesky factor (Rucker & Wensing 2022,
+doi:10.1109/LRA.2022.3144517).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from scipy.linalg import block_diag, qr
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, lsq_linear
 
 from scara_effmass.identification.regression import Solution, TorqueRegression, link_parameters
+from scara_effmass.model.lumping import ON_AXIS_M, LumpedModel
 from scara_effmass.model.robot import Robot
 from scara_effmass.values import FloatArray
 
@@ -27,6 +33,8 @@ PER_LINK = 10
 PARAMETERS = ("m", "m cx", "m cy", "m cz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 DEVIATION = 0.5
 """Relative standard deviation of the mass of a link by the file; its CoM has 0.35 of the link's radius of gyration."""
+MIN_KAPPA = 0.2
+"""Least share of its link in the standard deviation of a lumped mass, which the file may state as 0."""
 MAX_DEVIATIONS = 10.0
 """Largest difference of a link from the file, in those standard deviations, that counts as a link."""
 MIN_MASS_SHARE, MIN_RADIUS_M = 0.01, 0.01
@@ -46,27 +54,39 @@ _UNIT = DEVIATION * np.where(_ROW == _COLUMN, 1.0, np.sqrt(0.5))
 
 
 class BaseParameters(NamedTuple):
-    """Which parameters decide the torques: `identifiable` in any motion, of which the recorded one shows `rank`.
+    """How many parameters decide the torques: `identifiable` in any motion, of which the recorded one shows `rank`.
 
-    `columns` (r,) are those parameters, and `combinations` (r, 10 n) what is identifiable in place of each.
     `condition_number` is that of their columns in the recording, scaled to length 1; infinite below full rank.
     """
 
     identifiable: int
     rank: int
     condition_number: float
-    columns: tuple[int, ...]
-    combinations: FloatArray
+
+
+class PointMasses(NamedTuple):
+    """The two masses (n, 2) [kg] of each link of the lumped model: of the file, as identified, standard deviations.
+
+    `on_axes` and `axes_deviations` (k,) [kg] are the identified sums on axes apart from each other, proximal first.
+    """
+
+    stated: FloatArray
+    identified: FloatArray
+    deviations: FloatArray
+    on_axes: FloatArray
+    axes_deviations: FloatArray
 
 
 class ArmEstimate(NamedTuple):
-    """Inertial parameters (n, 10) of the links behind the joints: by the robot file, and as identified.
+    """Inertial parameters (n, 10) of the links behind the joints of `robot`: by the robot file, and as identified.
 
     `root` (10 n, 10 n) times its transpose is their covariance, `prior_root` likewise before anything was known.
     `is_projected`: the regression alone gave a link that no body can be. `unfit` says why the torques do not fit the
     model, empty if they do. `determined` is the number of directions that are twice as narrow as before.
+    `point_masses` are those of the lumped model, whose bodies `robot` has then.
     """
 
+    robot: Robot
     stated: FloatArray
     parameters: FloatArray
     root: FloatArray
@@ -76,6 +96,7 @@ class ArmEstimate(NamedTuple):
     determined: int
     is_projected: bool
     unfit: str
+    point_masses: PointMasses | None
 
     @property
     def deviations(self) -> FloatArray:
@@ -102,15 +123,33 @@ class EffectiveMasses(NamedTuple):
     prior_deviations: FloatArray
 
 
-def identify_arm(robot: Robot, intervals: Iterable[FloatArray], effort_uncertainty: float) -> ArmEstimate | None:
+class _Prior(NamedTuple):
+    """What is estimated of `robot` and what is known before: p parameters of its links, of which `basis` (10 n, p).
+
+    `units` (p, p) are standard deviations of their change from the `stated` (p,), of which that at `origin` (p,) counts
+    as none. `project` returns the point nearest to a mean in these units, with links that can be, and whether it moved;
+    distances are lengths of a matrix times the difference. `moved` is the robot whose torques are compared.
+    """
+
+    robot: Robot
+    moved: Robot
+    basis: FloatArray
+    stated: FloatArray
+    units: FloatArray
+    origin: FloatArray
+    project: Callable[[FloatArray, FloatArray], tuple[FloatArray, bool]]
+
+
+def identify_arm(
+    robot: Robot, intervals: Iterable[FloatArray], effort_uncertainty: float, lumped: LumpedModel | None = None
+) -> ArmEstimate | None:
     """Return the parameters of all links by the means (6, n) of `intervals`; None if no joint moves in any.
 
-    `effort_uncertainty` is that of `TorqueRegression`.
+    With `lumped`, the links are its point masses. `effort_uncertainty` is that of `TorqueRegression`.
     """
-    stated = link_parameters(robot.model)
-    factors = [_factor(parameters, stated[:, 0].mean()) for parameters in stated]
-    units = block_diag(*(_units(factor) for factor in factors))
-    regression = TorqueRegression(robot, units, effort_uncertainty)
+    prior = _bodies(robot) if lumped is None else _two_masses_each(robot, lumped)
+    units = prior.basis @ prior.units
+    regression = TorqueRegression(prior.moved, units, effort_uncertainty)
     for means in intervals:
         regression.add(means)
     if not regression.counts.any():
@@ -118,27 +157,94 @@ def identify_arm(robot: Robot, intervals: Iterable[FloatArray], effort_uncertain
     solution = regression.solve()
     values, vectors = np.linalg.eigh(solution.covariance)
     values = np.maximum(values, 1e-14)
-    start = stated.ravel() - np.concatenate([_parameters(factor @ factor.T) for factor in factors])
     whitening = vectors.T / np.sqrt(values)[:, None]
-    # The prior's links differ from those of the file where these have no extent.
-    offset = np.linalg.solve(units, start)
-    inside, is_projected = _project(solution.parameters + offset, whitening)
-    found = stated.ravel() + units @ (inside - offset)
-    worst = np.abs(inside - offset).reshape(-1, PER_LINK).max(axis=1)
+    inside, is_projected = prior.project(solution.parameters + prior.origin, whitening)
+    change = inside - prior.origin
+    worst = np.abs(change).reshape(robot.model.nv, -1).max(axis=1)
     unfit = solution.unfit
     if not unfit and worst.max() > MAX_DEVIATIONS:
         joint = robot.joint_names[int(worst.argmax())]
         unfit = f"the link behind {joint} is {worst.max():.0f} standard deviations off the file"
+    root = vectors * np.sqrt(values)
+    stated = link_parameters(prior.robot.model)
     return ArmEstimate(
+        prior.robot,
         stated,
-        found.reshape(stated.shape),
-        units @ (vectors * np.sqrt(values)),
+        stated + (units @ change).reshape(stated.shape),
+        units @ root,
         units,
         solution,
-        _base_parameters(robot, np.linalg.solve(units.T, np.linalg.solve(units.T, regression.gram).T)),
+        _base_parameters(
+            robot, prior.basis, np.linalg.solve(prior.units.T, np.linalg.solve(prior.units.T, regression.gram).T)
+        ),
         int(np.sum(values < 0.25)),
         is_projected,
         unfit,
+        None if lumped is None else _point_masses(lumped, prior.stated + prior.units @ change, prior.units @ root),
+    )
+
+
+def _bodies(robot: Robot) -> _Prior:
+    """Return rigid bodies for links."""
+    stated = link_parameters(robot.model)
+    factors = [_factor(parameters, stated[:, 0].mean()) for parameters in stated]
+    units = block_diag(*(_units(factor) for factor in factors))
+    # The prior's links differ from those of the file where these have no extent.
+    start = stated.ravel() - np.concatenate([_parameters(factor @ factor.T) for factor in factors])
+    return _Prior(robot, robot, np.eye(stated.size), stated.ravel(), units, np.linalg.solve(units, start), _project)
+
+
+def _two_masses_each(robot: Robot, lumped: LumpedModel) -> _Prior:
+    """Return the point masses of the links, at their places."""
+    without = lumped.model.copy()
+    without.armature = robot.model.armature
+    columns = [
+        pin.Inertia(1.0, np.array(point), np.zeros((3, 3))).toDynamicParameters()[:, None]
+        for link in lumped.links
+        for point in (link.point1, link.point2)
+    ]
+    pairs = [np.hstack(columns[index : index + 2]) for index in range(0, len(columns), 2)]
+    stated = _stated_masses(lumped)
+    links = stated.sum(axis=1, keepdims=True)
+    deviations = DEVIATION * np.maximum(np.abs(stated), MIN_KAPPA * links).ravel()
+    # As of a body, some mass is left of a link, and a mass is negative only where that of the file is.
+    least = np.minimum(stated, MIN_MASS_SHARE * links).ravel() / deviations
+    start = stated.ravel() / deviations
+
+    def project(mean: FloatArray, whitening: FloatArray) -> tuple[FloatArray, bool]:
+        if (mean >= least).all():
+            return mean, False
+        return np.asarray(lsq_linear(whitening, whitening @ mean, (least, np.inf)).x), True
+
+    return _Prior(
+        replace(robot, model=lumped.model),
+        replace(robot, model=without),
+        block_diag(*pairs),
+        stated.ravel(),
+        np.diag(deviations),
+        start,
+        project,
+    )
+
+
+def _stated_masses(lumped: LumpedModel) -> FloatArray:
+    return np.array([[link.kappa1 * link.mass, link.kappa2 * link.mass] for link in lumped.links])
+
+
+def _point_masses(lumped: LumpedModel, masses: FloatArray, root: FloatArray) -> PointMasses:
+    """Return point `masses` (2 n,) whose covariance is `root` (2 n, 2 n) times its transpose."""
+    axis, axes = 0, list[int]()
+    for link in lumped.links:
+        axes.append(axis)
+        axis += bool(np.linalg.norm(np.subtract(link.point2, link.point1)) > ON_AXIS_M)
+        axes.append(axis)
+    sums = np.equal.outer(np.arange(axis + 1), axes).astype(float)
+    return PointMasses(
+        _stated_masses(lumped),
+        masses.reshape(-1, 2),
+        np.linalg.norm(root, axis=1).reshape(-1, 2),
+        sums @ masses,
+        np.linalg.norm(sums @ root, axis=1),
     )
 
 
@@ -166,8 +272,9 @@ def effective_mass(
     return masses, masses[:, None] ** 2 * np.einsum("ki,kij->kj", w, np.array(rows))
 
 
-def effective_masses(robot: Robot, estimate: ArmEstimate, samples: int) -> EffectiveMasses:
+def effective_masses(estimate: ArmEstimate, samples: int) -> EffectiveMasses:
     """Return the effective masses of the first contact point at `samples` configurations over the joint ranges."""
+    robot = estimate.robot
     rng, model = np.random.default_rng(RANDOM_SEED), robot.model
     changed = with_parameters(model, estimate.parameters)
     data, changed_data = model.createData(), changed.createData()
@@ -277,32 +384,28 @@ def _slopes(theta: FloatArray) -> FloatArray:
     return np.array(columns).T
 
 
-def _base_parameters(robot: Robot, gram: FloatArray) -> BaseParameters:
-    """Return the base parameters of `robot`, and what the Gram matrix (10 n, 10 n) of a recording says about them."""
+def _base_parameters(robot: Robot, basis: FloatArray, gram: FloatArray) -> BaseParameters:
+    """Return what the Gram matrix (p, p) of a recording says about the parameters `basis` (10 n, p) of `robot`."""
     rng, model, data = np.random.default_rng(RANDOM_SEED), robot.model, robot.model.createData()
     rows = [
-        pin.computeJointTorqueRegressor(model, data, q, *rng.normal(size=(2, model.nv))).copy()
+        pin.computeJointTorqueRegressor(model, data, q, *rng.normal(size=(2, model.nv))) @ basis
         for q in robot.sample_configurations(2 * PER_LINK * model.nv)
     ]
-    triangle, order, identifiable = _pivoted(np.vstack(rows))
-    # Y = Y_b K: every other column is a sum of those of the base parameters.
-    combinations = np.zeros((identifiable, len(order)))
-    combinations[:, order] = np.linalg.solve(triangle[:identifiable, :identifiable], triangle[:identifiable])
-    combinations[np.abs(combinations) < RANK_TOLERANCE] = 0.0
+    order, identifiable = _pivoted(np.vstack(rows))
+    # The other columns are sums of these.
     columns = order[:identifiable]
     values, vectors = np.linalg.eigh(gram[np.ix_(columns, columns)])
     recorded = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
-    rank = _pivoted(recorded)[2]
+    _, rank = _pivoted(recorded)
     singular = np.linalg.svd(recorded / np.maximum(np.linalg.norm(recorded, axis=0), 1e-300), compute_uv=False)
     condition = float(singular[0] / singular[-1]) if rank == identifiable else np.inf
-    return BaseParameters(identifiable, rank, condition, tuple(columns.tolist()), combinations)
+    return BaseParameters(identifiable, rank, condition)
 
 
-def _pivoted(columns: FloatArray) -> tuple[FloatArray, FloatArray, int]:
-    """Return R, in the scales of `columns`, the order of columns and their rank by QR with pivoting of scaled ones."""
+def _pivoted(columns: FloatArray) -> tuple[FloatArray, int]:
+    """Return the order of columns and their rank by QR with pivoting of those scaled to length 1."""
     norms = np.linalg.norm(columns, axis=0)
     lengths = np.where(norms > RANK_TOLERANCE * norms.max(), norms, np.inf)
     triangle, order = qr(columns / lengths, mode="r", pivoting=True)
     pivots = np.abs(np.diag(triangle))
-    rank = int(np.sum(pivots > RANK_TOLERANCE * pivots.max()))
-    return triangle * np.where(np.isfinite(lengths), lengths, 0.0)[order], order, rank
+    return order, int(np.sum(pivots > RANK_TOLERANCE * pivots.max()))

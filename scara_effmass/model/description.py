@@ -98,6 +98,7 @@ class RobotDescription:
     file states of the assumptions, and `held` are its joints that the model does not move.
     `hulls` are the vertices (V, 3) [m] of the contact points that are links as a whole, in the frame of their joint.
     `tool_tip` is the contact point at the end of the longest chain, whose last joint may be one of a tool, as a jaw.
+    `torque_constants` (n,) are torques [N m, N] per unit of effort; 1 where the file states none.
     """
 
     origin: str
@@ -110,6 +111,7 @@ class RobotDescription:
     tip: pin.SE3
     notes: Sequence[str]
     stated: frozenset[Assumption]
+    torque_constants: FloatArray
     held: tuple[HeldJoint, ...] = ()
     tool_tip: str = ""
     hulls: Mapping[str, FloatArray] = field(default_factory=dict)

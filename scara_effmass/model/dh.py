@@ -73,6 +73,8 @@ class DhJoint(_Strict):
     max_speed: Number = Field(gt=0.0)
     max_effort: Number = Field(0.0, ge=0.0)
     """Effort limit [N m, N]; 0: unknown."""
+    torque_constant: Number = Field(1.0, gt=0.0)
+    """Torque [N m, N] per unit of effort in the joint states, as of a motor current; 1: the effort is the torque."""
     armature: Number | None = Field(None, ge=0.0)
 
     @model_validator(mode="after")
@@ -299,6 +301,7 @@ def _described(file: DhFile, origin: str, settings: MonitorSettings) -> RobotDes
         notes=notes,
         stated=frozenset(_stated(file)),
         hulls=hulls,
+        torque_constants=np.array([row.torque_constant for row in file.joints]),
     )
 
 

@@ -35,13 +35,13 @@ def max_joint_accelerations(entries: Sequence[str], joints: Sequence[str]) -> Fl
     return np.array([stated[name] for name in joints])
 
 
-def torque_constants(entries: Sequence[str], joints: Sequence[str]) -> FloatArray:
-    """Return the torque (n,) per unit of effort of each of the `joints`, 1 by default, of `entries` "joint=value".
+def torque_constants(entries: Sequence[str], joints: Sequence[str], of_file: FloatArray) -> FloatArray:
+    """Return the torque (n,) per unit of effort of each of the `joints`: of `entries` "joint=value", or `of_file`.
 
     Raises RobotError for a wrong entry.
     """
     stated = _joint_values(entries, joints, "torque_constants", _VALUE)
-    return np.array([stated.get(name, 1.0) for name in joints])
+    return np.array([stated.get(name, constant) for name, constant in zip(joints, of_file, strict=True)])
 
 
 def _joint_values(entries: Sequence[str], joints: Sequence[str], setting: str, rule: str) -> dict[str, float]:

@@ -15,6 +15,7 @@ from scara_effmass.errors import RobotError
 from scara_effmass.model.description import RobotDescription, StatedLink, inertia_tensor, matching_links
 from scara_effmass.model.dh import load_dh
 from scara_effmass.model.hulls import shape_points, stated_hull
+from scara_effmass.model.joint_values import torque_constants
 from scara_effmass.model.light_ends import hold_light_end
 from scara_effmass.model.plausibility import InertialCheck, check_inertials, judge, triangle_error
 from scara_effmass.model.robot import Robot
@@ -117,6 +118,7 @@ def build_robot(stated: RobotDescription, settings: MonitorSettings) -> Robot:
         stated=stated.stated,
         held=stated.held,
         hulls=stated.hulls,
+        torque_constants=torque_constants(settings.torque_constants, joints, stated.torque_constants),
     )
     if stated.tool_tip in contact_frames:
         robot = hold_light_end(robot, stated.tool_tip)

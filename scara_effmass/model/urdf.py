@@ -130,6 +130,7 @@ def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> RobotDescri
         tip=max((frames[name] for name in (*links, *tips)), key=lambda frame: frame.parentJoint).placement,
         notes=notes,
         stated=frozenset(),
+        torque_constants=np.ones(model.nv),
         tool_tip=tip,
         held=tuple(HeldJoint(name, tree.is_tool_joint(name, needed)) for name in sorted(fixed)),
         hulls=hulls,

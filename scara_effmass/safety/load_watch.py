@@ -11,7 +11,6 @@ from scara_effmass.codes import Reason
 from scara_effmass.identification.payload import PayloadEstimate, PayloadEstimator, mass_gain
 from scara_effmass.kernel.intervals import Intervals
 from scara_effmass.kernel.records import IntArray
-from scara_effmass.model.joint_values import torque_constants
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import FloatArray
@@ -30,7 +29,6 @@ class Doubt(NamedTuple):
 def _used(settings: MonitorSettings) -> tuple[object, ...]:
     return (
         settings.effort_uncertainty,
-        settings.torque_constants,
         settings.link_uncertainty,
         settings.mass_uncertainty,
         settings.filters_velocity,
@@ -46,11 +44,11 @@ class LoadWatch:
     """Estimates the load of the last link from joint states with effort. `why_not` says why it cannot."""
 
     def __init__(self, dynamics: RobotDynamics, settings: MonitorSettings) -> None:
-        """Compare with the load of `dynamics`. Raises RobotError for `torque_constants` of no joint."""
+        """Compare with the load of `dynamics`."""
         robot = dynamics.robot
         self._dynamics, self._settings = dynamics, _used(settings)
         self._margin = 1.0 + settings.mass_uncertainty
-        self._constants = torque_constants(settings.torque_constants, robot.joint_names)
+        self._constants = robot.torque_constants
         self.why_not = ""
         if not settings.effort_uncertainty:
             self.why_not = "effort_uncertainty is 0"

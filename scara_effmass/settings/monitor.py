@@ -227,7 +227,8 @@ class MonitorSettings(FrozenSettings):
     )
     torque_constants: tuple[str, ...] = fixed(
         (),
-        'torque per unit of effort, "joint=value", where the driver reports a motor current [N m/A, N/A]; 1 by default',
+        'torque per unit of effort, "joint=value", where the driver reports a motor current [N m/A, N/A]; by default '
+        "torque_constant of a DH file, or 1",
     )
     mass_cap: float = tunable(
         1000.0, "upper bound of the published effective masses, reached near singular poses [kg]", ge=100.0, le=1e6

@@ -9,17 +9,19 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+import yaml
 from numpy.typing import NDArray
 
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.model.load import load_robot
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
 from scara_effmass.studies.load import CASES, robot_of, simulated
 from scara_effmass.values import JointState
 from test.cli.conftest import Cli, Refused
 
-UR10 = CASES[1]
+SCARA, UR10 = CASES[:2]
 ROBOT = share("config", "robots", "ur10_robot.urdf")
 
 
@@ -68,14 +70,63 @@ def test_report_and_files(cli: Cli, bag: Path, tmp_path: Path) -> None:
     assert (again.returncode, "already exists; use --force" in again.stderr) == (2, True)
 
 
-def test_dh_file_gets_no_corrected_file(cli: Cli, tmp_path: Path) -> None:
-    robot = robot_of(CASES[0])
-    states = simulated(robot, CASES[0], 0.0, 10.0, np.random.default_rng(3))
-    path = recording(tmp_path / "scara.mcap", robot.joint_names, *states)
-    done = cli("identify", path, "-o", tmp_path / "out")
+@pytest.fixture(scope="module")
+def scara_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a recording of an i4-550L whose link 2 is 1.3 times as heavy as in the file."""
+    robot = robot_of(SCARA)
+    heavy = robot.model.copy()
+    stated = heavy.inertias[2]
+    heavy.inertias[2] = pin.Inertia(1.3 * stated.mass, stated.lever, 1.3 * stated.inertia)
+    states = simulated(replace(robot, model=heavy), SCARA, 0.0, 30.0, np.random.default_rng(2))
+    return recording(tmp_path_factory.mktemp("bag") / "scara.mcap", robot.joint_names, *states)
+
+
+def test_corrected_dh_file_has_the_identified_bodies(cli: Cli, scara_bag: Path, tmp_path: Path) -> None:
+    done = cli("identify", scara_bag, "--payload", "0.1", "-o", tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    result = json.loads((tmp_path / "identify.json").read_text())
+    assert result["point_masses"] is None
+    corrected = load_robot(tmp_path / "omron_i4_550l.yaml", MonitorSettings(payload_mass=0.1))
+    found = np.array([inertia.toDynamicParameters() for inertia in list(corrected.model.inertias)[1:]])
+    np.testing.assert_allclose(found, [link["identified"] for link in result["links"]], rtol=1e-6, atol=1e-8)
+    assert corrected.payload_mass == pytest.approx(0.35)
+    text = (tmp_path / "omron_i4_550l.yaml").read_text()
+    assert text.startswith("# Masses identified by scara-effmass from scara.mcap (SHA-256 ")
+
+
+def test_lumped_masses_are_fitted_directly(cli: Cli, scara_bag: Path, tmp_path: Path) -> None:
+    """The case of the paper: no inertia tensors are known. M2 and M3 are those of the heavier link 2."""
+    rows = yaml.safe_load(share("config", "omron_i4_550l.yaml").read_text())
+    for link in (*rows["links"], rows["payload"]):
+        del link["inertia"]
+    robot = tmp_path / "arm.yaml"
+    robot.write_text(yaml.safe_dump(rows))
+    done = cli("identify", scara_bag, "--robot", robot, "-o", tmp_path / "out")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "by axis, from the base: " in done.stdout
+    result = json.loads((tmp_path / "out" / "identify.json").read_text())
+    masses = result["point_masses"]
+    np.testing.assert_allclose(masses["stated"][:2], [[1.94, 0.8], [1.58, 0.42]], rtol=1e-3)
+    assert abs(masses["on_axes"][2] - (1.3 * 0.42 + 0.55)) < 1.96 * masses["axes_deviations"][2]
+    corrected = RobotDynamics(load_robot(tmp_path / "out" / "arm.yaml"))
+    assert corrected.full_reason
+    assert corrected.lumped is not None
+    pairs = [[link.kappa1 * link.mass, link.kappa2 * link.mass] for link in corrected.lumped.links]
+    np.testing.assert_allclose(pairs[:2], masses["identified"][:2], rtol=1e-6)
+    assert [sum(pair) for pair in pairs] == pytest.approx([sum(pair) for pair in masses["identified"]])
+
+
+def test_model_lumped_fits_the_lumped_masses_of_a_robot_with_inertias(cli: Cli, scara_bag: Path) -> None:
+    done = cli("identify", scara_bag, "--model", "lumped", "--json")
     assert done.returncode == 0
-    assert "the robot is no URDF" in done.stdout
-    assert not list((tmp_path / "out").glob("*.urdf"))
+    assert json.loads(done.stdout)["point_masses"]["on_axes"][2] == pytest.approx(1.3 * 0.42 + 0.55, rel=0.1)
+
+
+def test_a_load_that_is_not_there_gives_no_robot_file(cli: Cli, scara_bag: Path, tmp_path: Path) -> None:
+    done = cli("identify", scara_bag, "--payload", "2", "-o", tmp_path)
+    assert done.returncode == 0
+    assert "is no body without its stated load: check the payload" in " ".join(done.stdout.split())
+    assert {path.suffix for path in tmp_path.iterdir()} == {".json", ".png", ".svg"}
 
 
 def test_effort_in_another_unit_does_not_fit(cli: Cli, tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from scara_effmass.identification.arm import (
 from scara_effmass.identification.regression import link_parameters
 from scara_effmass.kernel.intervals import Intervals
 from scara_effmass.model.robot import Robot
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.studies.load import CASES, Case, States, robot_of, simulated
 from test.identification.conftest import planar_arm
 
@@ -49,8 +50,8 @@ def test_effective_mass_is_that_of_the_true_arm(case: Case, factors: tuple[float
     truth = replace(robot, model=wrong(robot, factors))
     found = estimated(robot, simulated(truth, case, 0.0, 40.0, np.random.default_rng(4)))
     assert not found.unfit
-    masses = effective_masses(robot, found, 60)
-    true = effective_masses(robot, found._replace(parameters=link_parameters(truth.model)), 60).identified
+    masses = effective_masses(found, 60)
+    true = effective_masses(found._replace(parameters=link_parameters(truth.model)), 60).identified
     covered = np.abs(masses.identified - true) < 1.96 * masses.deviations
     assert covered.mean() > 0.9
     assert np.median(np.abs(masses.identified / true - 1.0)) < 0.5 * np.median(np.abs(masses.stated / true - 1.0))
@@ -67,7 +68,7 @@ def test_every_link_is_a_body() -> None:
 
 def test_a_right_file_is_confirmed() -> None:
     robot = robot_of(PANDA)
-    masses = effective_masses(robot, estimated(robot, simulated(robot, PANDA, 0.0, 40.0, np.random.default_rng(1))), 60)
+    masses = effective_masses(estimated(robot, simulated(robot, PANDA, 0.0, 40.0, np.random.default_rng(1))), 60)
     assert np.mean(np.abs(masses.identified - masses.stated) < 1.96 * masses.deviations) > 0.9
 
 
@@ -94,3 +95,40 @@ def test_gradient_is_that_of_finite_differences() -> None:
 def test_no_motion_gives_no_estimate() -> None:
     robot = robot_of(UR10)
     assert identify_arm(robot, [], 0.03) is None
+
+
+def test_lumped_mass_covers_that_of_the_true_masses() -> None:
+    """An arm of point masses: link 2 a third heavier than stated."""
+    robot = robot_of(SCARA)
+    lumped = RobotDynamics(robot).lumped
+    assert lumped is not None
+    bodies = lumped.model.copy()
+    bodies.armature = robot.model.armature
+    truth = replace(robot, model=wrong(replace(robot, model=bodies), (1.0, 1.3, 1.0, 1.0)))
+    covered = []
+    for seed in range(4):
+        states = simulated(truth, SCARA, 0.0, 30.0, np.random.default_rng(seed))
+        found = identify_arm(robot, Intervals(robot.periods, 0.1).add(*states)[1], 0.03, lumped)
+        assert found is not None
+        assert found.point_masses is not None
+        assert not found.unfit
+        assert found.base.identifiable == 3
+        true = effective_masses(found._replace(parameters=link_parameters(truth.model)), 60).identified
+        masses = effective_masses(found, 60)
+        covered.append(np.mean(np.abs(masses.identified - true) < 1.96 * masses.deviations))
+        assert np.median(np.abs(masses.identified / true - 1.0)) < 0.5 * np.median(np.abs(masses.stated / true - 1.0))
+    assert np.mean(covered) > 0.9
+
+
+def test_a_lumped_mass_that_would_be_negative_is_none() -> None:
+    """Torques of an arm of a tenth of its masses, little of them known."""
+    robot = robot_of(SCARA)
+    lumped = RobotDynamics(robot).lumped
+    assert lumped is not None
+    truth = replace(robot, model=wrong(robot, (0.05, 0.05, 0.05, 0.05)))
+    states = simulated(truth, SCARA, 0.0, 5.0, np.random.default_rng(1))
+    found = identify_arm(robot, Intervals(robot.periods, 0.1).add(*states)[1], 0.03, lumped)
+    assert found is not None
+    assert found.point_masses is not None
+    assert found.is_projected
+    assert (found.point_masses.identified >= 0.0).all()
