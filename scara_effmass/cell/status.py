@@ -30,9 +30,12 @@ from scara_effmass.values import (
 HISTORY_NS = 60_000_000_000
 BIN_NS = 50_000_000
 """Bin width of the history [ns]; each bin keeps its worst sample."""
+LOAD_ENTRY = "load by the torques"
+"""Key of the load in the diagnostics of the monitor."""
 DEFAULT_TIMEOUT_NS = 400_000_000
 """Deadline that a monitor with default settings offers [ns]."""
 MAX_EPISODES = 1000
+MAX_LOADS = 100
 MAX_IMPACTS = 20
 MAX_VALIDATIONS = 500
 FORCE_BUFFER_NS = 5_000_000_000
@@ -49,6 +52,17 @@ class SpeedSample(NamedTuple):
     contact_point: str
     speed: float
     allowable_speed: float
+
+
+class LoadSample(NamedTuple):
+    """What displays show of a `PayloadEstimate.msg`."""
+
+    at_ns: int
+    mass: float
+    mass_lower: float
+    mass_upper: float
+    stated_mass: float
+    text: str
 
 
 @dataclass
@@ -138,6 +152,7 @@ class CellStatus:
         self.joint_state: JointState | None = None
         self.joint_state_at_ns = 0
         self.speeds: deque[SpeedSample] = deque(maxlen=HISTORY_NS // BIN_NS + 1)
+        self.loads: deque[LoadSample] = deque(maxlen=MAX_LOADS)
         self.episodes: deque[Episode] = deque([Episode(self.verdict, "", self.reason, now_ns)], maxlen=MAX_EPISODES)
         self.impacts: deque[ImpactRecord] = deque(maxlen=MAX_IMPACTS)
         self.validations: deque[Validation] = deque(maxlen=MAX_VALIDATIONS)
@@ -169,6 +184,14 @@ class CellStatus:
             self.no_impact_reason
             or "no impact is validated: no validator runs, or it rejects them (see its diagnostics)"
         )
+
+    def load_text(self, now_ns: int) -> str:
+        """Return what the last estimate of the load says, and its age; without one, what the monitor says of it."""
+        if self.loads:
+            last = self.loads[-1]
+            return f"{last.text}; {(now_ns - last.at_ns) / 1e9:.0f} s ago"
+        texts = (entry.values[LOAD_ENTRY] for entry in self.diagnostics.values() if LOAD_ENTRY in entry.values)
+        return next(texts, "unknown: no monitor of this cell has published diagnostics")
 
     @property
     def contacts(self) -> tuple[ContactAssessment, ...]:
@@ -210,6 +233,10 @@ class CellStatus:
             self.speeds.append(sample)
         elif contact.margin < last.allowable_speed - last.speed:
             self.speeds[-1] = sample
+
+    def take_load(self, sample: LoadSample) -> None:
+        """Take an estimate of the load."""
+        self.loads.append(sample)
 
     def take_joint_state(self, state: JointState, at_ns: int) -> None:
         """Take the latest joint state."""

@@ -15,7 +15,7 @@ from typing import Any
 
 from nicegui import ui
 
-from scara_effmass.cell.status import CellStatus, Validation
+from scara_effmass.cell.status import HISTORY_NS, CellStatus, Validation
 from scara_effmass.dashboard.scene import RobotScene
 from scara_effmass.nodes.cell_client import CellClient
 from scara_effmass.reference import RobotDynamics
@@ -90,11 +90,20 @@ class Page:
                 ]
                 self._scatter = _chart("predicted and measured peak forces", "predicted [N]", "measured [N]", points)
                 self._series = ui.label().classes("note")
-            with _card("Diagnostics", "wide log"):
-                self._diagnostics = _html("", "scroll")
+            with _card("Load by the torques, last 60 s", "wide"):
+                lines = [
+                    _line("load", _SPEED_COLOR),
+                    _line("interval of 95 %", "#9aa5b1"),
+                    _line("interval of 95 %", "#9aa5b1"),
+                    _line("stated", _LIMIT_COLOR, type="dashed"),
+                ]
+                self._loads = _chart("load by the torques of the joints", "s before now", "kg", lines, -60, 0)
+                self._load = ui.label().classes("note")
             with _card("Episodes", "wide log"):
                 self._episodes = _html("", "scroll")
                 _html('<a href="/episodes.csv" download>Download all episodes (CSV)</a>')
+            with _card("Diagnostics", "whole log"):
+                self._diagnostics = _html("", "scroll")
         self._beat = ui.label().props("id=beat aria-hidden=true")
         ui.timer(FAST_S, self._refresh)
         ui.timer(SLOW_S, self._refresh_slowly)
@@ -176,6 +185,9 @@ class Page:
         _show(self._scatter, low, safe, [[0.0, 0.0], [end, end]] if end else [])
         self._scatter.set_visibility(bool(status.validations))
         self._series.text = _series_text(status)
+        _show(self._loads, *_load_lines(status, now_ns))
+        self._loads.set_visibility(bool(status.loads))
+        self._load.text = status.load_text(now_ns)
         self._diagnostics.content = _table(
             ["node", "status", "message"],
             list(_diagnostic_rows(status, now_ns)),
@@ -246,6 +258,15 @@ def _speed_lines(status: CellStatus, now_ns: int) -> tuple[list[list[float | Non
             line.append([round((sample.at_ns - now_ns) / 1e9, 2), float(speed)])
         last_ns = sample.at_ns
     return lines
+
+
+def _load_lines(status: CellStatus, now_ns: int) -> list[list[list[float]]]:
+    """Return the load by the torques, both ends of its interval, and the stated load over the last minute."""
+    samples = [sample for sample in status.loads if now_ns - sample.at_ns <= HISTORY_NS]
+    return [
+        [[round((sample.at_ns - now_ns) / 1e9, 2), round(getattr(sample, name), 3)] for sample in samples]
+        for name in ("mass", "mass_lower", "mass_upper", "stated_mass")
+    ]
 
 
 def _contact_rows(status: CellStatus) -> tuple[list[str], list[list[str]], str]:

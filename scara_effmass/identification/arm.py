@@ -152,7 +152,7 @@ def identify_arm(
     regression = TorqueRegression(prior.moved, units, effort_uncertainty)
     for means in intervals:
         regression.add(means)
-    if not regression.counts.any():
+    if not regression.has_motion:
         return None
     solution = regression.solve()
     values, vectors = np.linalg.eigh(solution.covariance)

@@ -8,13 +8,14 @@ doi:10.1177/027836498600500306). Per joint j, over an interval in which it moves
 
 with rnea by the robot file, the differences `delta` from it, Coulomb and viscous friction, and the relative error e_j
 of the torque constant, by Gauss-Newton steps. A joint at rest may hold by friction: it counts once per standstill, as
-accurately as the friction is known.
+accurately as the friction is known. Rows whose residual stands out, as at an impact, do not count.
 """
 
 from __future__ import annotations
 
+import warnings
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -44,10 +45,20 @@ UNKNOWN_UNIT = 10.0
 """Standard deviation of the relative error of a torque constant about which nothing is known."""
 MIN_SIGNIFICANCE = 5.0
 """Standard deviations by which a contradiction to the model must differ from noise."""
+LEAST_NOISE = 0.01
+"""Least standard deviation of the torque of a joint, as a share of its root mean square: gears are no better known."""
 NOISE = 0.01
 """Noise of the torque of a joint that has not moved yet, as a share of its effort limit."""
 TRIAL_SPEED, TRIAL_TIME_S = 0.2, 0.25
 """Speed of a motion that could tell a parameter, as a share of the largest one, and time to reach it [s]."""
+STANDS_OUT = 4.0
+"""Residual, in standard deviations by the median, from which on a row does not count."""
+MIN_COUNTED = 0.7
+"""Least share of the rows that count: if more stand out, that is how the robot moves."""
+MEDIAN_DEVIATION = 1.4826
+"""Standard deviation of a normal distribution over the median of the magnitude."""
+BLOCKS_AT_ONCE = 10
+"""Number of blocks in which rows that stand out are looked for."""
 _OWN = 3
 """Number of parameters of each joint: f_c, f_v and e."""
 _ITERATIONS, _FREE_ITERATIONS = 8, 5
@@ -63,6 +74,7 @@ class Solution(NamedTuple):
 
     `friction` (n, 2) are f_c [N m, N] and f_v [N m s, N s/m]; `scale_errors` (n,) the e_j. `torques` and `residuals`
     (n,) [N m, N] are root mean squares in motion. `unfit` says why the torques do not fit the model, empty if they do.
+    `rows` of them count, `left_out` stand out.
     """
 
     parameters: FloatArray
@@ -72,6 +84,8 @@ class Solution(NamedTuple):
     torques: FloatArray
     residuals: FloatArray
     unfit: str
+    rows: int
+    left_out: int
 
 
 class _System(NamedTuple):
@@ -87,17 +101,73 @@ class _System(NamedTuple):
 
 
 class _Block:
-    """Sums over intervals: Z^T Z (n, p + 4, p + 4), sum of Z (n, p + 4) and number (n,) of those in motion.
+    """Rows Y, sign(qd), qd, rnea and tau (n, p + 4) with motion, and which joints (n,) move one way in each.
 
-    Z are the rows Y, sign(qd), qd, rnea and tau.
+    `resting` (n, p + 4, p + 4) is the sum of Z^T Z over the rows Z that begin a standstill.
     """
 
     def __init__(self, joints: int, size: int) -> None:
-        self.products = np.zeros((joints, size, size))
-        self.sums = np.zeros((joints, size))
-        self.counts = np.zeros(joints)
+        self.rows: list[FloatArray] = []
+        self.moving: list[FloatArray] = []
         self.resting = np.zeros((joints, size, size))
-        self.length = 0
+
+
+class _Sums(NamedTuple):
+    """Z^T Z (n, p + 4, p + 4) and number (n,) of rows Z of each joint in motion, and sums (b, n, p + 4) by block.
+
+    `resting` is that of the blocks. `rows` of them count, `left_out` do not.
+    """
+
+    products: FloatArray
+    counts: FloatArray
+    by_block: FloatArray
+    resting: FloatArray
+    rows: int
+    left_out: int
+
+    def plus(self, other: _Sums) -> _Sums:
+        """Return the sums over both."""
+        return _Sums(
+            self.products + other.products,
+            self.counts + other.counts,
+            np.concatenate((self.by_block, other.by_block)),
+            self.resting + other.resting,
+            self.rows + other.rows,
+            self.left_out + other.left_out,
+        )
+
+
+class _Window:
+    """The rows of some blocks, with the sums over those that count."""
+
+    def __init__(self, blocks: Sequence[_Block], size: int) -> None:
+        joints = len(blocks[0].resting)
+        rows = [row for block in blocks for row in block.rows]
+        self.moving = np.array([moving for block in blocks for moving in block.moving]).reshape(-1, joints)
+        # Only joints that move one way in a row have an equation.
+        self.equations = np.array(rows).reshape(-1, joints, size) * self.moving[:, :, None]
+        self._blocks = np.repeat(np.arange(len(blocks)), [len(block.rows) for block in blocks])
+        self._resting = np.sum([block.resting for block in blocks], axis=0)
+
+    def sums(self, counted: FloatArray) -> _Sums:
+        """Return the sums over the rows `counted` (N,)."""
+        by_joint = (self.equations * counted[:, None, None]).transpose(1, 0, 2)
+        by_block = np.zeros((self._blocks[-1] + 1 if len(self._blocks) else 0, *self.equations.shape[1:]))
+        np.add.at(by_block, self._blocks, by_joint.transpose(1, 0, 2))
+        rows = int(counted.sum())
+        counts = np.sum(self.moving * counted[:, None], axis=0)
+        products = by_joint.transpose(0, 2, 1) @ by_joint
+        return _Sums(products, counts, by_block, self._resting, rows, len(counted) - rows)
+
+    def counted(self, residual: FloatArray) -> FloatArray:
+        """Return which rows (N,) do not stand out, with the coefficients (n, p + 4) of the residuals."""
+        sizes = np.abs(np.einsum("tji,ji->tj", self.equations, residual))
+        sizes[self.moving == 0.0] = np.nan
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # of a joint that never moves
+            deviations = MEDIAN_DEVIATION * np.nanmedian(sizes, axis=0)
+        relative = np.nan_to_num(sizes / np.maximum(deviations, MIN_TORQUE)).max(axis=1)
+        return np.asarray(relative <= max(STANDS_OUT, float(np.quantile(relative, MIN_COUNTED))), dtype=float)
 
 
 class TorqueRegression:
@@ -115,8 +185,9 @@ class TorqueRegression:
         self._rest_speeds = REST_SPEED * np.where(robot.revolute, 1.0, METRES_PER_RADIAN)
         self._effort_uncertainty = effort_uncertainty
         self._limits = robot.effort_limits
-        self._past, self._past_sums = self._empty(), list[FloatArray]()
+        self._size = self._parameters + _OWN + 1
         self._blocks, self._keeps_all = deque([self._empty()], blocks), blocks is None
+        self._past = _Window(self._blocks, self._size).sums(np.zeros(0))
         self._q = np.zeros(self._joints)
         self._was_resting = np.zeros(self._joints, np.bool_)
         self._intervals: list[tuple[FloatArray, FloatArray, FloatArray]] = []
@@ -140,49 +211,56 @@ class TorqueRegression:
         return rows
 
     @property
-    def counts(self) -> FloatArray:
-        """Number (n,) of rows in motion of each joint."""
-        return np.asarray(np.sum([block.counts for block in self._all()], axis=0))
+    def has_motion(self) -> bool:
+        """Whether a joint has moved."""
+        return bool(self._past.rows or any(block.rows for block in self._blocks))
 
     @property
     def gram(self) -> FloatArray:
-        """Y^T Y (p, p) of the rows in motion, whose torques count in units of the joint's scale."""
-        products = np.sum([block.products for block in self._all()], axis=0)
-        _, scales = self._torques(products, self.counts)
-        weighted = products[:, : self._parameters, : self._parameters] / (scales**2)[:, None, None]
+        """Y^T Y (p, p) of the rows in motion, whose torques count in units of the joint's scale. After `solve`."""
+        weighted = (
+            self._sums.products[:, : self._parameters, : self._parameters] / (self._solved.scales**2)[:, None, None]
+        )
         return np.asarray(weighted.sum(axis=0))
 
     def solve(self) -> Solution:
         """Return the estimate."""
-        blocks = list(self._all())
-        products = np.sum([block.products for block in blocks], axis=0)
-        resting = np.sum([block.resting for block in blocks], axis=0)
-        sums = np.array([*self._past_sums, *(block.sums for block in self._blocks)])
-        joints, counts, p = self._joints, self.counts, self._parameters
-        torques, scales = self._torques(products, counts)
-        least = (1e-6 * scales) ** 2
+        return self._fit(self._past, list(self._blocks))
+
+    def _fit(self, past: _Sums, blocks: Sequence[_Block]) -> Solution:
+        """Return the estimate of `past` and further `blocks`, whose rows that stand out do not count."""
+        window = _Window(blocks, self._size)
+        joints, p = self._joints, self._parameters
+        sums = past.plus(window.sums(np.ones(len(window.moving))))
+        torques, scales = self._torques(sums.products, sums.counts)
+        least = np.maximum(LEAST_NOISE * torques, MIN_TORQUE) ** 2
         friction, noise, inflation = FRICTION * scales, np.maximum(torques**2, least), np.ones(joints)
         solution, unfit = np.zeros(p + _OWN * joints), ""
         for iteration in range(_ITERATIONS):
+            residual = self._residual(solution)
+            if len(window.moving):
+                sums = past.plus(window.sums(window.counted(residual)))
             # First as if the torque constants were unknown: else another unit passes for noise.
             uncertainty = self._effort_uncertainty if iteration >= _FREE_ITERATIONS else UNKNOWN_UNIT
-            weighted = products / (noise * inflation)[:, None, None] + resting / (noise + friction**2)[:, None, None]
+            of_rest = sums.resting / (noise + friction**2)[:, None, None]
+            weighted = sums.products / (noise * inflation)[:, None, None] + of_rest
             columns = self._columns(solution)
             solution, covariance = self._solve(columns.transpose(0, 2, 1) @ weighted @ columns, scales, uncertainty)
             residual = self._residual(solution)
-            squares = np.einsum("ji,jik,jk->j", residual, products, residual)
-            noise = np.maximum(squares / np.maximum(counts - _OWN, 1.0), least)
+            squares = np.einsum("ji,jik,jk->j", residual, sums.products, residual)
+            noise = np.maximum(squares / np.maximum(sums.counts - _OWN, 1.0), least)
             # Residuals that persist over a block make the variance larger.
-            persistent = np.sum(np.einsum("bji,ji->bj", sums, residual) ** 2, axis=0)
-            inflation = np.maximum(1.0, persistent / (np.maximum(counts, 1.0) * noise))
+            persistent = np.sum(np.einsum("bji,ji->bj", sums.by_block, residual) ** 2, axis=0)
+            inflation = np.maximum(1.0, persistent / (np.maximum(sums.counts, 1.0) * noise))
             own = solution[p:].reshape(joints, _OWN)
             deviations = np.sqrt(np.diag(covariance))
             friction = np.hypot(own[:, 0], deviations[p::_OWN])
             if iteration == _FREE_ITERATIONS - 1:
                 unfit = self._unfit(own[:, 2], deviations[p + 2 :: _OWN])
-        noise_of_rows = np.where(counts > 0.0, noise * inflation, (NOISE * scales) ** 2)
-        self._solved = _System(weighted, columns, noise_of_rows, scales)
-        return Solution(solution[:p], covariance[:p, :p], own[:, :2], own[:, 2], torques, np.sqrt(noise), unfit)
+        noise_of_rows = np.where(sums.counts > 0.0, noise * inflation, (NOISE * scales) ** 2)
+        self._solved, self._sums = _System(weighted, columns, noise_of_rows, scales), sums
+        numbers = solution[:p], covariance[:p, :p], own[:, :2], own[:, 2], torques, np.sqrt(noise)
+        return Solution(*numbers, unfit, sums.rows, sums.left_out)
 
     def telling_joint(self, parameter: int) -> str:
         """Return the joint whose motion for a second, to and fro at the present pose, would tell a parameter best.
@@ -205,37 +283,29 @@ class TorqueRegression:
         return str(self._robot.joint_names[int(np.argmin(deviations))])
 
     def _empty(self) -> _Block:
-        return _Block(self._joints, self._parameters + _OWN + 1)
-
-    def _all(self) -> Iterator[_Block]:
-        yield self._past
-        yield from self._blocks
+        return _Block(self._joints, self._size)
 
     def _add_rows(self, rows: FloatArray, lowest: FloatArray, highest: FloatArray) -> bool:
         """Take the mean equation (n, p + 4) of intervals, and the extremes (n,) of qd in them."""
-        if self._blocks[-1].length == ROWS_PER_BLOCK:
+        if len(self._blocks[-1].rows) == ROWS_PER_BLOCK:
             self._begin_block()
         rest = (np.abs(lowest) <= self._rest_speeds) & (np.abs(highest) <= self._rest_speeds)
         one_way = (lowest > self._rest_speeds) | (highest < -self._rest_speeds)
         begins, self._was_resting = rest & ~self._was_resting, rest
         block = self._blocks[-1]
-        moving = rows[one_way]
-        block.products[one_way] += moving[:, :, None] * moving[:, None, :]
-        block.sums[one_way] += moving
-        block.counts += one_way
-        rows[:, self._parameters : self._parameters + 2] = 0.0
         resting = rows[begins]
+        resting[:, self._parameters : self._parameters + 2] = 0.0
         block.resting[begins] += resting[:, :, None] * resting[:, None, :]
-        block.length += bool(one_way.any())
-        return bool(one_way.any()) and block.length == ROWS_PER_BLOCK
+        if one_way.any():
+            block.rows.append(rows)
+            block.moving.append(one_way.astype(float))
+        return bool(one_way.any()) and len(block.rows) == ROWS_PER_BLOCK
 
     def _begin_block(self) -> None:
-        if self._keeps_all:  # as sums: the products of an hour would take gigabytes
-            block = self._blocks.pop()
-            self._past.products += block.products
-            self._past.resting += block.resting
-            self._past.counts += block.counts
-            self._past_sums.append(block.sums)
+        if self._keeps_all and len(self._blocks) == BLOCKS_AT_ONCE:  # as sums: rows of an hour would take gigabytes
+            self._fit(_Window([self._empty()], self._size).sums(np.zeros(0)), list(self._blocks))
+            self._past = self._past.plus(self._sums)
+            self._blocks.clear()
         self._blocks.append(self._empty())
 
     def _torques(self, products: FloatArray, counts: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -255,7 +325,8 @@ class TorqueRegression:
             right[places] += products[j, :-1, -1]
         # In units of the prior, which all parameters have in common.
         scaled = deviations[:, None] * information * deviations + np.eye(len(deviations))
-        inverse = np.linalg.inv(scaled)
+        half = np.linalg.inv(np.linalg.cholesky(scaled))
+        inverse = half.T @ half  # no variance is negative
         return deviations * (inverse @ (deviations * right)), deviations[:, None] * inverse * deviations
 
     def _columns(self, solution: FloatArray) -> FloatArray:

@@ -10,10 +10,10 @@ from typing import Any, final
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
-from scara_effmass_msgs.msg import ContactStates, ForceBlock, Impact, ImpactValidation, RunInfo
+from scara_effmass_msgs.msg import ContactStates, ForceBlock, Impact, ImpactValidation, PayloadEstimate, RunInfo
 from sensor_msgs.msg import JointState
 
-from scara_effmass.cell.status import DEFAULT_TIMEOUT_NS, CellStatus, Diagnostic, Validation
+from scara_effmass.cell.status import DEFAULT_TIMEOUT_NS, CellStatus, Diagnostic, LoadSample, Validation
 from scara_effmass.errors import DecodeError
 from scara_effmass.nodes.client import ClientNode
 from scara_effmass.nodes.qos import qos_profile
@@ -79,6 +79,7 @@ class CellClient(ClientNode):
             (Impact, topics.IMPACT, _RARE, self._take_impact),
             (ImpactValidation, topics.IMPACT_VALIDATION, _RARE, self._take_validation),
             (DiagnosticArray, topics.DIAGNOSTICS, _RARE, self._take_diagnostics),
+            (PayloadEstimate, topics.PAYLOAD_ESTIMATE, topics.DESCRIPTION_QOS, self._take_load),
         ):
             subscription = self.node.create_subscription(kind, topic, lambda _: None, qos_profile(qos), raw=True)
             self._subscriptions.append((subscription, take))
@@ -187,6 +188,11 @@ class CellClient(ClientNode):
         validation = Validation(stamp_ns=stamp_ns, series=series, **values)
         self.status.take_validation(validation)
         self._on_validation(validation)
+
+    def _take_load(self, data: bytes, at_ns: int) -> None:
+        message: Any = deserialize_message(data, PayloadEstimate)
+        values = {name: getattr(message, name) for name in LoadSample._fields[1:]}
+        self.status.take_load(LoadSample(at_ns=at_ns, **values))
 
     def _take_diagnostics(self, data: bytes, at_ns: int) -> None:
         """Keep the diagnostics of the nodes in the namespace of this client."""

@@ -8,6 +8,7 @@ from itertools import pairwise
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from scara_effmass.cell.status import LOAD_ENTRY
 from scara_effmass.iso15066 import EDITION, TABLE_HASH
 from scara_effmass.nodes.diagnostics import status
 from scara_effmass.nodes.robot_input import label
@@ -148,7 +149,7 @@ def _model_status(monitor: Monitor) -> DiagnosticStatus:
         "moving mass [kg]": f"{robot.moving_mass:.4g}",
         "deciding mass": deciding_mass(dynamics, monitor.settings.effective_mass_model),
         "payload": monitor.payload_text,
-        "load by the torques": monitor.load_watch.text,
+        LOAD_ENTRY: monitor.load_watch.text,
         "an OK covers": scope(robot, monitor.settings),
         "assumed": "; ".join(RULES[code].text for code in monitor.assumptions.assumed),
         "accepted assumptions": ", ".join(map(name_of, monitor.assumptions.accepted)),

@@ -17,6 +17,8 @@ from scara_effmass.values import FloatArray
 
 ALARM = 5.0
 """Standard deviations by which the load must be above the stated one to count as heavier."""
+LEAST_SHARE = 0.01
+"""Least share of the mass of the arm by which it must be: no model of friction and motors is better."""
 
 
 class Doubt(NamedTuple):
@@ -110,7 +112,8 @@ class LoadWatch:
         if self.doubt.reason:
             # The text stays the same, so that it does not change with each estimate.
             return self.doubt if lower > estimate.stated else Doubt()
-        if estimate.mass - estimate.stated <= ALARM * estimate.deviation:
+        least = LEAST_SHARE * self._dynamics.robot.moving_mass
+        if estimate.mass - estimate.stated <= max(ALARM * estimate.deviation, least):
             return Doubt()
         text = f"the torques show a load of {_interval(estimate)}, not the stated {estimate.stated:.2f} kg"
         return Doubt(Reason.UNSTATED_LOAD if self._exceeds_margin(estimate) else Reason.HEAVIER_LOAD, text)

@@ -36,7 +36,9 @@ TIP_VISCOUS_SPEED_MPS = 5e-3
 
 TOOL = "tool"
 """Name of the contact point in the robot file and of the MJCF site there."""
-_DISABLED = ("contact", "constraint", "gravity", "sensor", "actuation", "limit")
+_DISABLED = ("contact", "constraint", "sensor", "actuation", "limit")
+GRAVITY = -9.81
+"""Acceleration along z [m/s2], where there is one: free joints of the cell move without it."""
 _JOINT_TYPES = {"revolute": "hinge", "prismatic": "slide"}
 _TENSOR_SIZE = 6
 
@@ -356,7 +358,8 @@ def sim_mjcf(robot: Path, cart: Cart | None = None) -> tuple[str, tuple[str, ...
     world = ET.SubElement(root, "worldbody")
     world.append(body)
     if cart is not None:
-        body = ET.SubElement(world, "body", name="cart", pos=_text(*cart.tip))
+        # The guide carries its weight.
+        body = ET.SubElement(world, "body", name="cart", pos=_text(*cart.tip), gravcomp="1")
         ET.SubElement(body, "joint", name="guide", type="slide", axis=_text(*cart.direction))
         # The cart does not rotate: its moments of inertia have no effect.
         ET.SubElement(body, "inertial", pos="0 0 0", mass=_text(cart.mass), diaginertia="1e-3 1e-3 1e-3")

@@ -27,6 +27,7 @@ from scara_effmass.share import share
 from scara_effmass.sim.collision_sim import (
     CONTROL_PERIOD_NS,
     FINE_STEP_NS,
+    GRAVITY,
     POLYETHYLENE,
     Cart,
     CollisionSim,
@@ -35,7 +36,7 @@ from scara_effmass.sim.collision_sim import (
     TrueContact,
     find_contacts,
 )
-from scara_effmass.sim.measurement import FORCE_SENSOR, Adc, ForceSensor, measure_force, quantize
+from scara_effmass.sim.measurement import FORCE_SENSOR, Adc, ForceSensor, measure_force, quantize, read_torque
 from scara_effmass.sim.motion import (
     ElbowConfig,
     LinearMove,
@@ -77,7 +78,7 @@ QUINTIC_PEAK = 1.875
 """Peak speed of a quintic move over its mean speed."""
 
 
-ControlPeriod = tuple[FloatArray, FloatArray, list[ContactSample]]
+ControlPeriod = tuple[FloatArray, FloatArray, FloatArray, list[ContactSample]]
 """Joint positions and the controller's velocity estimates (n,) at its start, before rounding to counts; the contact."""
 
 
@@ -86,7 +87,8 @@ class JointController:
     """Move the robot of a simulation along trajectories."""
 
     def __init__(self, sim: CollisionSim, servo: ServoSettings) -> None:
-        """Start from the robot's current state, which sets the inertias I of the gains."""
+        """Start from the robot's current state, which sets the inertias I of the gains. The motors carry the weight."""
+        sim.model.opt.gravity[2] = GRAVITY
         inertias = sim.joint_inertias()
         omega = 2.0 * math.pi * servo.bandwidth
         self._sim = sim
@@ -102,7 +104,7 @@ class JointController:
             position = self._sim.q
             self._velocity = self._velocity + self._weight * (self._sim.qd - self._velocity)
             torque = planned + self._stiffness * (q_plan - position) + self._damping * (qd_plan - self._velocity)
-            yield position, self._velocity, self._sim.advance(torque)
+            yield position, self._velocity, torque, self._sim.advance(torque)
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,13 +253,13 @@ def run_impact(setup: ImpactSetup) -> ImpactRun:
     sim.set_state(q[0], np.zeros_like(q[0]))
     sim.place_cart()
     periods = list(controller.follow(q, qd))
-    positions, velocities = (np.array(column) for column in list(zip(*periods, strict=True))[:2])
+    positions, velocities, torques = (np.array(column) for column in list(zip(*periods, strict=True))[:3])
     samples = [sample for *_, contact in periods for sample in contact]
     contacts = find_contacts(samples)
     if not contacts:
         raise SettingsError(f"offset = {setup.offset}: the cart is not hit: must be within the path")
     noise = random.Random(f"{setup.seed} {_ENCODER_STREAM}")  # noqa: S311 - noise, no secret
-    rows = enumerate(zip(*quantize(positions, velocities, noise), strict=True))
+    rows = enumerate(zip(*quantize(positions, velocities, noise), read_torque(torques), strict=True))
     force_blocks = measure_force(samples, setup.start_ns, sim.time_ns, setup.sensor, setup.seed)
     # The masses are those at the onset of the impact.
     index, rest_ns = divmod(contacts[0].onset_ns, CONTROL_PERIOD_NS)
@@ -329,8 +331,9 @@ class LiveSim:
         first = self._adc.samples
         force = [np.empty(0)]
         while self.start_ns + self._elapsed_ns + CONTROL_PERIOD_NS <= now_ns:
-            q, qd, contact = next(self._periods)
-            states.append(JointState(self.start_ns + self._elapsed_ns, JOINTS, *quantize(q, qd, self._noise)))
+            q, qd, torque, contact = next(self._periods)
+            measured = *quantize(q, qd, self._noise), read_torque(torque)
+            states.append(JointState(self.start_ns + self._elapsed_ns, JOINTS, *measured))
             self._elapsed_ns += CONTROL_PERIOD_NS
             self._contact += contact
             if self._elapsed_ns % (FORCE_PERIODS * CONTROL_PERIOD_NS) == 0:

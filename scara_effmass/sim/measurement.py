@@ -52,6 +52,8 @@ SOURCE = "simulated force: MuJoCo cell, sensor 208C03 on NI-9230, AC coupled"
 
 POSITION_STEP = np.array([2.0 * math.pi / 2**20, 2.0 * math.pi / 2**20, 1e-6, 2.0 * math.pi / 2**20])
 """Resolution of the simulated encoders [rad, rad, m, rad]."""
+TORQUE_STEP = np.array([0.01, 0.01, 0.01, 0.001])
+"""Resolution of the joint torques [N m, N]."""
 VELOCITY_STEP = np.array([1e-4, 1e-4, 1e-5, 1e-4])
 """Resolution of the velocity estimates [rad/s, rad/s, m/s, rad/s]."""
 
@@ -119,6 +121,13 @@ def quantize(q: FloatArray, qd: FloatArray, noise: random.Random) -> tuple[Float
         return rounded
 
     return round_to_counts(q, POSITION_STEP), round_to_counts(qd, VELOCITY_STEP)
+
+
+def read_torque(torque: FloatArray) -> FloatArray:
+    """Return joint torques (..., 4) in whole steps, read-only. The simulated joints have no friction."""
+    effort = np.asarray(np.rint(torque / TORQUE_STEP) * TORQUE_STEP + 0.0)
+    effort.flags.writeable = False
+    return effort
 
 
 def newtons_per_count(sensitivity: float) -> float:

@@ -18,14 +18,13 @@ from scara_effmass.iso15066 import TRANSIENT_S, Limit
 from scara_effmass.iso15066.drives import servo_reduced_masses
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import ServoSettings
-from scara_effmass.sim.collision_sim import mass_matrix, sim_mjcf
+from scara_effmass.sim.collision_sim import GRAVITY, mass_matrix, sim_mjcf
 from scara_effmass.values import FloatArray
 
 PHASE_STEP = 0.04
 """Time step times the angular frequency of contact or servo, the larger one; the error of the peak is below 2e-4."""
 MAX_STEP_S = 2e-3
 """Longest time step without contact."""
-GRAVITY = -9.81
 SLIDING = 0.02
 """Slip, over the speed of the point, at which friction reaches half of its coefficient."""
 ROUNDS = 60
@@ -69,7 +68,6 @@ class PlateSim:
         else:
             self.model = _urdf_model(path, robot.joint_names)
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
-        self.model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
         self.model.dof_armature[:] = robot.model.armature
         self.model.dof_damping[:] = 0.0
         self.data = mujoco.MjData(self.model)

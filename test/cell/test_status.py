@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scara_effmass.cell.status import BIN_NS, HISTORY_NS, CellStatus, Validation
+from scara_effmass.cell.status import BIN_NS, HISTORY_NS, CellStatus, Diagnostic, LoadSample, Validation
 from scara_effmass.safety import unknown_contact
 from scara_effmass.values import (
     ContactAssessment,
@@ -53,6 +53,16 @@ def validation(stamp_ns: int, count: int) -> Validation:
     none, rest = (0.0, 0.0), (0, True, True, "")
     series = SeriesStatistics(count, *(0.9, 1e5, 0.0, 1.0), 0, 1.0, none, 1.0, none, 0.1, 0.5, none, 0.0, *rest)
     return Validation(stamp_ns, *(110.0, 100.0, 0.1, 0.5, 0.25), True, "hand", 90.0, 140.0, False, series)  # noqa: FBT003
+
+
+def test_load_text_is_that_of_the_last_estimate_or_of_the_monitor() -> None:
+    status = CellStatus(0)
+    assert status.load_text(S).startswith("unknown: no monitor")
+    values = {"load by the torques": "unknown: effort_uncertainty is 0"}
+    status.diagnostics["/monitor: model"] = Diagnostic("/monitor: model", 0, "", values, S)
+    assert status.load_text(S) == "unknown: effort_uncertainty is 0"
+    status.take_load(LoadSample(S, 0.5, 0.4, 0.6, 0.25, "0.50 kg (0.40 to 0.60)"))
+    assert status.load_text(3 * S) == "0.50 kg (0.40 to 0.60); 2 s ago"
 
 
 def test_empty_panels_say_why() -> None:

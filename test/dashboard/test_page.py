@@ -26,7 +26,7 @@ MONITOR = ("--ros-args", "-p", f"timeout:={TIMEOUT_S}", "-p", "release_time:=0.0
 TOKEN = "secret"  # noqa: S105
 CARDS = (
     *("Robot", "Speed and allowable speed, last 60 s", "Contact points", "Last impacts"),
-    *("Predicted and measured peak force", "Diagnostics", "Episodes"),
+    *("Predicted and measured peak force", "Load by the torques, last 60 s", "Diagnostics", "Episodes"),
 )
 FETCHED_HULLS = """count => new Set(
   performance.getEntriesByType("resource").map(entry => new URL(entry.name).pathname)
@@ -157,6 +157,8 @@ def test_the_page_shows_what_holds_and_never_an_old_ok(monitor: NodeHarness, bro
         expect(page.get_by_text("not a certified safety function")).to_be_visible()
         expect(page.get_by_role("columnheader", name="effective mass, full")).to_be_visible()
         expect(page.get_by_role("rowheader", name="monitor model")).to_be_visible(timeout=WAIT_MS)
+        load = page.get_by_role("region", name="Load by the torques, last 60 s")
+        expect(load).to_contain_text("unknown: it needs joint states with effort", timeout=WAIT_MS)
         assert page.locator("canvas").bounding_box()
         page.wait_for_function(FETCHED_HULLS, arg=4, timeout=WAIT_MS)
         hull, missing = (page.request.get(f"http://127.0.0.1:{port}/hulls/{number}.stl") for number in (0, 4))
