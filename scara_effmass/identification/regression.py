@@ -13,7 +13,6 @@ accurately as the friction is known. Rows whose residual stands out, as at an im
 
 from __future__ import annotations
 
-import warnings
 from collections import deque
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -59,6 +58,8 @@ MEDIAN_DEVIATION = 1.4826
 """Standard deviation of a normal distribution over the median of the magnitude."""
 BLOCKS_AT_ONCE = 10
 """Number of blocks in which rows that stand out are looked for."""
+NEWEST_BLOCKS, MIN_NEWEST = 2, 0.6
+"""Newest blocks, and least share of their rows that do not stand out, unless the load has changed."""
 _OWN = 3
 """Number of parameters of each joint: f_c, f_v and e."""
 _ITERATIONS, _FREE_ITERATIONS = 8, 5
@@ -146,14 +147,13 @@ class _Window:
         self.moving = np.array([moving for block in blocks for moving in block.moving]).reshape(-1, joints)
         # Only joints that move one way in a row have an equation.
         self.equations = np.array(rows).reshape(-1, joints, size) * self.moving[:, :, None]
-        self._blocks = np.repeat(np.arange(len(blocks)), [len(block.rows) for block in blocks])
+        self._starts = np.cumsum([0, *(len(block.rows) for block in blocks if block.rows)])[:-1]
         self._resting = np.sum([block.resting for block in blocks], axis=0)
 
     def sums(self, counted: FloatArray) -> _Sums:
         """Return the sums over the rows `counted` (N,)."""
         by_joint = (self.equations * counted[:, None, None]).transpose(1, 0, 2)
-        by_block = np.zeros((self._blocks[-1] + 1 if len(self._blocks) else 0, *self.equations.shape[1:]))
-        np.add.at(by_block, self._blocks, by_joint.transpose(1, 0, 2))
+        by_block = np.add.reduceat(by_joint, self._starts, axis=1).transpose(1, 0, 2)
         rows = int(counted.sum())
         counts = np.sum(self.moving * counted[:, None], axis=0)
         products = by_joint.transpose(0, 2, 1) @ by_joint
@@ -162,11 +162,10 @@ class _Window:
     def counted(self, residual: FloatArray) -> FloatArray:
         """Return which rows (N,) do not stand out, with the coefficients (n, p + 4) of the residuals."""
         sizes = np.abs(np.einsum("tji,ji->tj", self.equations, residual))
-        sizes[self.moving == 0.0] = np.nan
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RuntimeWarning)  # of a joint that never moves
-            deviations = MEDIAN_DEVIATION * np.nanmedian(sizes, axis=0)
-        relative = np.nan_to_num(sizes / np.maximum(deviations, MIN_TORQUE)).max(axis=1)
+        # The equations of joints at rest, of size 0, come first.
+        middle = len(sizes) - 1 - (self.moving.sum(axis=0).astype(int) // 2)
+        deviations = MEDIAN_DEVIATION * np.take_along_axis(np.sort(sizes, axis=0), middle[None], axis=0)[0]
+        relative = (sizes / np.maximum(deviations, MIN_TORQUE)).max(axis=1)
         return np.asarray(relative <= max(STANDS_OUT, float(np.quantile(relative, MIN_COUNTED))), dtype=float)
 
 
@@ -187,7 +186,7 @@ class TorqueRegression:
         self._limits = robot.effort_limits
         self._size = self._parameters + _OWN + 1
         self._blocks, self._keeps_all = deque([self._empty()], blocks), blocks is None
-        self._past = _Window(self._blocks, self._size).sums(np.zeros(0))
+        self._past = self._nothing = _Window(self._blocks, self._size).sums(np.zeros(0))
         self._q = np.zeros(self._joints)
         self._was_resting = np.zeros(self._joints, np.bool_)
         self._intervals: list[tuple[FloatArray, FloatArray, FloatArray]] = []
@@ -224,22 +223,30 @@ class TorqueRegression:
         return np.asarray(weighted.sum(axis=0))
 
     def solve(self) -> Solution:
-        """Return the estimate."""
+        """Return the estimate. If most of the newest rows stand out, the load has changed: older ones go."""
+        found = self._fit(self._past, list(self._blocks))
+        newest = self._counted[-NEWEST_BLOCKS * ROWS_PER_BLOCK :]
+        if self._keeps_all or np.mean(newest) >= MIN_NEWEST:
+            return found
+        while len(self._blocks) > NEWEST_BLOCKS:
+            self._blocks.popleft()
         return self._fit(self._past, list(self._blocks))
 
     def _fit(self, past: _Sums, blocks: Sequence[_Block]) -> Solution:
         """Return the estimate of `past` and further `blocks`, whose rows that stand out do not count."""
         window = _Window(blocks, self._size)
         joints, p = self._joints, self._parameters
-        sums = past.plus(window.sums(np.ones(len(window.moving))))
+        counted = np.ones(len(window.moving))
+        sums = past.plus(window.sums(counted))
         torques, scales = self._torques(sums.products, sums.counts)
         least = np.maximum(LEAST_NOISE * torques, MIN_TORQUE) ** 2
         friction, noise, inflation = FRICTION * scales, np.maximum(torques**2, least), np.ones(joints)
         solution, unfit = np.zeros(p + _OWN * joints), ""
         for iteration in range(_ITERATIONS):
             residual = self._residual(solution)
-            if len(window.moving):
-                sums = past.plus(window.sums(window.counted(residual)))
+            before, counted = counted, window.counted(residual) if len(counted) else counted
+            if not np.array_equal(before, counted):
+                sums = past.plus(window.sums(counted))
             # First as if the torque constants were unknown: else another unit passes for noise.
             uncertainty = self._effort_uncertainty if iteration >= _FREE_ITERATIONS else UNKNOWN_UNIT
             of_rest = sums.resting / (noise + friction**2)[:, None, None]
@@ -259,6 +266,7 @@ class TorqueRegression:
                 unfit = self._unfit(own[:, 2], deviations[p + 2 :: _OWN])
         noise_of_rows = np.where(sums.counts > 0.0, noise * inflation, (NOISE * scales) ** 2)
         self._solved, self._sums = _System(weighted, columns, noise_of_rows, scales), sums
+        self._counted = counted
         numbers = solution[:p], covariance[:p, :p], own[:, :2], own[:, 2], torques, np.sqrt(noise)
         return Solution(*numbers, unfit, sums.rows, sums.left_out)
 
@@ -303,7 +311,7 @@ class TorqueRegression:
 
     def _begin_block(self) -> None:
         if self._keeps_all and len(self._blocks) == BLOCKS_AT_ONCE:  # as sums: rows of an hour would take gigabytes
-            self._fit(_Window([self._empty()], self._size).sums(np.zeros(0)), list(self._blocks))
+            self._fit(self._nothing, list(self._blocks))
             self._past = self._past.plus(self._sums)
             self._blocks.clear()
         self._blocks.append(self._empty())

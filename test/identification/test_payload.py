@@ -12,6 +12,7 @@ from scara_effmass.kernel.intervals import Intervals
 from scara_effmass.model.load import load_robot
 from scara_effmass.model.robot import Robot
 from scara_effmass.settings import MonitorSettings
+from scara_effmass.sim.experiment import LiveSim
 from scara_effmass.studies.load import CASES, Case, States, robot_of, run, simulated
 from test.identification.conftest import planar_arm
 
@@ -51,6 +52,30 @@ def test_mass_and_moment_are_those_of_an_independent_model(case: Case, sizes: li
     assert last.is_observable
     assert not last.unfit
     assert (last.telling_joint, last.stated) == ("", 0.5)
+
+
+@pytest.mark.parametrize("case", [SCARA, UR10, PANDA])
+def test_load_picked_up_is_found_within_ten_seconds(case: Case) -> None:
+    """And before, nothing shows one."""
+    robot = robot_of(case)
+    for seed in range(3):  # of the same friction
+        parts = [simulated(robot, case, load, 12.0, np.random.default_rng(seed)) for load in (0.0, case.load)]
+        parts[1] = parts[1]._replace(stamps=parts[1].stamps + 12_500_000_000)
+        found = estimates(robot, States(*(np.concatenate(columns) for columns in zip(*parts, strict=True))))
+        seconds = [1e-9 * estimate.stamp_ns - 13.5 for estimate in found if estimate.mass > 5.0 * estimate.deviation]
+        assert 0.0 < seconds[0] < 10.0
+
+
+def test_impacts_are_no_load() -> None:
+    """Every 3 s the arm of the simulated cell hits a cart."""
+    robot = load_robot(settings=MonitorSettings(contact_points=("tool",)))
+    output = LiveSim(1_000_000_000).advance_to(16_000_000_000)
+    columns = zip(*((one.stamp_ns, one.position, one.velocity, one.effort) for one in output.joint_states), strict=True)
+    found = estimates(robot, States(*map(np.array, columns)), stated=robot.payload_mass)
+    assert len(output.carts) >= 3
+    assert not [estimate.unfit for estimate in found if estimate.unfit]
+    assert len(found) > 5
+    assert max(abs(estimate.mass - 0.25) for estimate in found) < 0.05
 
 
 def test_intervals_cover_the_load() -> None:

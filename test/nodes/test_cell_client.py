@@ -10,7 +10,15 @@ from typing import Any
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
-from scara_effmass_msgs.msg import ContactStates, ForceBlock, Impact, ImpactValidation, RunInfo, SeriesStatistics
+from scara_effmass_msgs.msg import (
+    ContactStates,
+    ForceBlock,
+    Impact,
+    ImpactValidation,
+    PayloadEstimate,
+    RunInfo,
+    SeriesStatistics,
+)
 
 from scara_effmass.cell.status import CellStatus
 from scara_effmass.nodes.cell_client import CellClient
@@ -47,6 +55,15 @@ def node(own_domain: int) -> Iterator[Node]:  # noqa: ARG001
 def publisher(node: Node, kind: type, topic: str, deadline_s: float = DEADLINE_S) -> Any:  # noqa: ANN401
     qos = topics.verdict_qos(deadline_s / 2) if topic == topics.CONTACT_STATES else topics.INFO_QOS
     return node.create_publisher(kind, topic, qos_profile(qos))
+
+
+def test_load_from_before_the_client_is_shown(node: Node) -> None:
+    estimates = publisher(node, PayloadEstimate, topics.PAYLOAD_ESTIMATE)
+    estimates.publish(PayloadEstimate(mass=0.5, mass_lower=0.4, mass_upper=0.6, stated_mass=0.25, text="0.50 kg"))
+    with CellClient("display", NAMESPACE) as client:
+        poll_until(client, lambda status: status.loads)
+        assert client.status.loads[-1][1:] == (0.5, 0.4, 0.6, 0.25, "0.50 kg")
+        assert client.status.load_text(time.monotonic_ns()).startswith("0.50 kg; ")
 
 
 def test_a_verdict_of_one_message_is_not_missed_and_silence_is_unknown(node: Node) -> None:

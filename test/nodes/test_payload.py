@@ -14,7 +14,6 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from scara_effmass_msgs.msg import ContactState, PayloadEstimate
 
 from scara_effmass.codes import Reason
-from scara_effmass.nodes.cell_client import CellClient
 from scara_effmass.share import share
 from scara_effmass.studies.load import Case, robot_of, simulated
 from test.nodes.conftest import Answer, NodeHarness, joint_state
@@ -110,7 +109,6 @@ def test_load_that_nobody_stated_shows_in_the_torques(new_harness: Callable[...,
     settings = ("-p", "timeout:=60.0", "-p", "release_time:=0.0", "-p", f"robot:={path}", "-p", "autostart:=true")
     harness = new_harness("--ros-args", *settings)
     harness.subscribe()
-    cell = CellClient("display", ("--ros-args",))
     estimates: list[PayloadEstimate] = []
     harness.node.create_subscription(PayloadEstimate, "payload_estimate", estimates.append, LATCHED)
     harness.spin_until(lambda: harness.node.count_subscribers("joint_states") == 1)
@@ -131,7 +129,3 @@ def test_load_that_nobody_stated_shows_in_the_torques(new_harness: Callable[...,
     assert list(last.joint_names) == list(robot.joint_names)
     assert len(last.coulomb_friction) == len(last.viscous_friction) == len(last.effort_error) == 6
     assert harness.diagnostic("model", "load by the torques", lambda value: " kg (" in value)
-    with cell:
-        assert cell.spin(60.0, lambda: bool(cell.status.loads))
-        shown = cell.status.loads[-1]
-        assert (shown.mass, shown.stated_mass, shown.text) == (last.mass, 0.0, last.text)
