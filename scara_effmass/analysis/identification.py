@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,8 +18,10 @@ from scara_effmass.identification.arm import (
     ArmEstimate,
     EffectiveMasses,
     PointMasses,
+    effective_mass,
     effective_masses,
     identify_arm,
+    with_parameters,
 )
 from scara_effmass.identification.regression import Z_95
 from scara_effmass.kernel.intervals import Intervals
@@ -27,7 +30,7 @@ from scara_effmass.model.robot import Robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety.joint_state_adapter import JointStateAdapter
 from scara_effmass.settings import MassModel, MonitorSettings
-from scara_effmass.values import FloatArray
+from scara_effmass.values import FloatArray, ValidatedImpact
 
 CONFIGURATIONS = 200
 """Number of configurations over the workspace at which effective masses are compared."""
@@ -187,33 +190,102 @@ def identify(path: Path, settings: MonitorSettings, topic: str | None = None) ->
         raise RobotError(
             f"{robot.origin}: identification starts from masses: {dynamics.full_reason or dynamics.lumped_reason}"
         )
-    adapter = JointStateAdapter(robot.joint_names, settings, robot.periods, robot.held)
-    intervals, means = Intervals(robot.periods, settings.timeout), list[FloatArray]()
-    used = count = 0
-    has_torque = False
-    with open_bag(path) as bag:
-        for block in bag.joint_state_blocks(joint_state_topic(bag, topic)):
-            layout, size = adapter.layout(block.names), len(block)
-            count += size
-            if not size or layout.is_foreign or layout.reason is not Reason.NONE:
-                continue
-            q, qd = np.empty((2, size, robot.model.nv))
-            reason, _ = adapter.read(layout, block.position, block.velocity, q, qd)
-            if reason is not Reason.NONE or block.effort.shape[-1] != len(block.names) or not block.velocity.size:
-                continue
-            effort = block.effort[:, layout.order]
-            has_torque |= bool(np.any(effort != 0.0))
-            used += size
-            means += [*intervals.add(block.stamp_ns, q, qd, effort * robot.torque_constants)[1]]
-    if not used or not has_torque:
+    lumped, motion = dynamics.lumped if is_lumped else None, _Motion(robot, settings)
+    estimate = identify_arm(robot, motion.means(path, topic), settings.effort_uncertainty, lumped)
+    if not motion.has_torque:
         problem = (
             "the effort is 0 throughout"
-            if used
-            else f"none of {count} joint states of the robot has velocity and effort"
+            if motion.used
+            else f"none of {motion.total} joint states of the robot has velocity and effort"
         )
         raise BagError(f"{path}: {problem}: must hold the torques of the joints")
-    lumped = dynamics.lumped if is_lumped else None
-    estimate = identify_arm(robot, means, settings.effort_uncertainty, lumped)
     if estimate is None:
         raise BagError(f"{path}: no joint moves for long enough: must hold motion of the arm")
-    return Identification(path, robot, used, count, estimate, effective_masses(estimate, CONFIGURATIONS))
+    masses = effective_masses(estimate, CONFIGURATIONS)
+    return Identification(path, robot, motion.used, motion.total, estimate, masses)
+
+
+class _Motion:
+    """Reads motion with effort of `robot`; counts joint states, and those `used`."""
+
+    def __init__(self, robot: Robot, settings: MonitorSettings) -> None:
+        self._robot, self._settings = robot, settings
+        self._adapter = JointStateAdapter(robot.joint_names, settings, robot.periods, robot.held)
+        self.used = self.total = 0
+        self.has_torque = False
+
+    def means(
+        self, path: Path, topic: str | None, stamps_ns: Sequence[int] = (), poses: list[FloatArray] | None = None
+    ) -> Iterator[FloatArray]:
+        """Yield the means (6, n) over the intervals of a recording; append q (n,) at `stamps_ns` to `poses`."""
+        robot, adapter, waiting = self._robot, self._adapter, sorted(stamps_ns)
+        intervals = Intervals(robot.periods, self._settings.timeout)
+        with open_bag(path) as bag:
+            for block in bag.joint_state_blocks(joint_state_topic(bag, topic)):
+                layout, size = adapter.layout(block.names), len(block)
+                self.total += size
+                if not size or layout.is_foreign or layout.reason is not Reason.NONE:
+                    continue
+                q, qd = np.empty((2, size, robot.model.nv))
+                reason, _ = adapter.read(layout, block.position, block.velocity, q, qd)
+                if reason is not Reason.NONE or block.effort.shape[-1] != len(block.names) or not block.velocity.size:
+                    continue
+                effort = block.effort[:, layout.order]
+                self.has_torque |= bool(np.any(effort != 0.0))
+                self.used += size
+                while poses is not None and waiting and waiting[0] <= block.stamp_ns[-1]:
+                    poses.append(q[int(np.searchsorted(block.stamp_ns, waiting.pop(0)))])
+                yield from intervals.add(block.stamp_ns, q, qd, effort * robot.torque_constants)[1]
+
+
+class ScaleByMotion(NamedTuple):
+    """Mean over impacts of the effective mass by the torques over that of a model, with half its interval of 95 %."""
+
+    scale: float
+    half: float
+
+    @property
+    def text(self) -> str:
+        """The scale with its interval."""
+        return f"{self.scale:.3f} ({self.scale - self.half:.3f} to {self.scale + self.half:.3f})"
+
+
+def scales_by_motion(
+    recordings: Sequence[tuple[Path, str, Sequence[ValidatedImpact]]], robot: Robot, settings: MonitorSettings
+) -> tuple[dict[str, ScaleByMotion], str]:
+    """Return the factors on the masses of the models by the motion in recordings, and why there are none.
+
+    Each recording has its topic of joint states and its impacts, in whose poses and directions the masses count.
+    """
+    found: list[tuple[ValidatedImpact, FloatArray]] = []
+    motion = _Motion(robot, settings)
+
+    def all_means() -> Iterator[FloatArray]:
+        for path, topic, impacts in recordings:
+            poses = list[FloatArray]()
+            yield from motion.means(path, topic, [impact.stamp_ns for impact in impacts], poses)
+            found.extend(zip(sorted(impacts, key=lambda impact: impact.stamp_ns), poses, strict=False))
+
+    estimate = identify_arm(robot, all_means(), settings.effort_uncertainty)
+    if not motion.has_torque or estimate is None:
+        return {}, "the joint states carry no effort in motion"
+    if estimate.unfit:
+        return {}, estimate.unfit
+    model = with_parameters(robot.model, estimate.parameters)
+    data = model.createData()
+    ratios, gradients = defaultdict[str, list[float]](list), defaultdict[str, list[FloatArray]](list)
+    for impact, q in found:
+        if impact.contact_point in robot.hulls:
+            continue
+        frame, normal = robot.contact_frames[impact.contact_point], np.array([impact.direction])
+        (mass,), (gradient,) = effective_mass(robot, model, data, q, normal, frame)
+        for prediction in impact.predictions:
+            ratios[prediction.model].append(mass / prediction.effective_mass)
+            gradients[prediction.model].append(gradient / prediction.effective_mass)
+    scales = {
+        name: ScaleByMotion(
+            float(np.mean(values)), Z_95 * float(np.linalg.norm(np.mean(gradients[name], axis=0) @ estimate.root))
+        )
+        for name, values in ratios.items()
+    }
+    return scales, "" if scales else "no impact at a contact point, whose place is known"

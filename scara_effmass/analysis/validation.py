@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from array import array
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from heapq import merge
 from itertools import repeat
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -26,6 +27,7 @@ from scara_effmass.analysis.forces import (
     measurement_topic,
     measurements,
 )
+from scara_effmass.analysis.identification import ScaleByMotion, scales_by_motion
 from scara_effmass.bags.bag import Bag
 from scara_effmass.bags.bag import run_infos as stored_run_infos
 from scara_effmass.bags.files import open_bag
@@ -125,10 +127,15 @@ class ValidatedRecording:
 
 
 class Validation(NamedTuple):
-    """Result of a series and its recordings; no recordings if the series was live."""
+    """Result of a series and its recordings; no recordings if the series was live.
+
+    `by_motion` are the factors on the masses of the models by the torques in motion, `no_motion` why there are none.
+    """
 
     result: Result
     recordings: tuple[ValidatedRecording, ...]
+    by_motion: Mapping[str, ScaleByMotion] = MappingProxyType({})
+    no_motion: str = ""
 
     def names(self) -> list[str]:
         """Return the name of the recording of each impact."""
@@ -183,6 +190,15 @@ def joined(parts: Iterable[tuple[ValidatedRecording, Validator]], settings: Vali
         recording.impacts = result.impacts[start[0] : stop[0]]
         recording.refused = result.refused[start[1] : stop[1]]
     return Validation(result, tuple(recordings))
+
+
+def with_motion(validation: Validation, dynamics: RobotDynamics, settings: ValidationSettings) -> Validation:
+    """Return `validation` with what the torques of its recordings in motion say about the masses. Raises BagError."""
+    if dynamics.full_reason:
+        return validation._replace(no_motion=dynamics.full_reason)
+    recordings = [(item.path, item.joint_state_topic, item.impacts) for item in validation.recordings]
+    by_motion, no_motion = scales_by_motion(recordings, dynamics.robot, settings.monitor)
+    return validation._replace(by_motion=by_motion, no_motion=no_motion)
 
 
 def _feed(

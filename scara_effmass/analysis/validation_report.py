@@ -117,6 +117,8 @@ def summary_lines(validation: Validation) -> Iterator[tuple[str, str]]:
         safe = f"{series.non_conservative} of {series.count} not conservative"
         yield model.model, f"{r}, k {series.stiffness / 1e3:.4g} N/mm, {error}, {safe}"
         yield "", fit_text(model)
+        if by_motion := validation.by_motion.get(model.model):
+            yield "", f"mass scale by the torques in motion {by_motion.text}"
     yield "clocks", clock_text(result)
     yield "comparison", result.comparison.text
     yield from _left_out_lines(validation)
@@ -216,6 +218,8 @@ def record(validation: Validation, settings: ValidationSettings, robot: Robot) -
             {"model": model.pop("model"), **model.pop("overall"), **model.pop("fit"), **model}
             for model in result.pop("models")
         ],
+        "mass_scale_by_motion": {model: scale._asdict() for model, scale in validation.by_motion.items()},
+        "no_mass_scale_by_motion": validation.no_motion,
         "judged_model": result.pop("model"),
         **result,
         "impacts": [

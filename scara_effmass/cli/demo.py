@@ -20,7 +20,7 @@ from scara_effmass.analysis.forces import read_force
 from scara_effmass.analysis.output import check_output_files
 from scara_effmass.analysis.report import PAGE, PageOptions
 from scara_effmass.analysis.run_report import RunReport
-from scara_effmass.analysis.validation import ValidationSettings, validate
+from scara_effmass.analysis.validation import ValidationSettings, validate, with_motion
 from scara_effmass.analysis.validation_report import FILES, summary_lines, write_report
 from scara_effmass.bags.bag import Bag
 from scara_effmass.bags.files import open_bag
@@ -96,6 +96,7 @@ def _run_sim(args: argparse.Namespace, dynamics: RobotDynamics, settings: Monito
             validator=ValidatorSettings(clock_tolerance=RECORDER_DELAY_S),
         )
         validation = validate([args.out / processes.RECORDING], dynamics, validation_settings)
+        validation = with_motion(validation, dynamics, validation_settings)
         results = write_report(validation, validation_settings, dynamics.robot, args.out, page, overwrite=args.force)
     offline = {impact.stamp_ns for impact in validation.result.impacts}
     counts = {"live": len(live), "offline": len(offline), "both": len(live & offline)}

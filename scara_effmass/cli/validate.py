@@ -15,6 +15,7 @@ from scara_effmass.analysis.validation import (
     ValidationSettings,
     joined,
     validate_recording,
+    with_motion,
 )
 from scara_effmass.analysis.validation_report import FILES, summary_lines, write_report
 from scara_effmass.bags.files import bag_bytes, find_bags
@@ -36,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
     dynamics = load_dynamics(settings.monitor)
     page = PageOptions(args.language, args.pdf)
     check_output_files(args.output, [*FILES, *page.files()], overwrite=args.force)
-    validation = validated(args, settings)
+    validation = with_motion(validated(args, settings), dynamics, settings)
     result = write_report(validation, settings, dynamics.robot, args.output, page, overwrite=args.force)
     notes = [robot_line(dynamics.robot, settings.monitor), *input_lines(settings.monitor, settings.time)]
     lines = [*summary_lines(validation), *notes, ("written", args.output / PAGE)]

@@ -257,15 +257,16 @@ def with_parameters(model: pin.Model, parameters: FloatArray) -> pin.Model:
 
 
 def effective_mass(
-    robot: Robot, model: pin.Model, data: pin.Data, q: FloatArray, normals: FloatArray
+    robot: Robot, model: pin.Model, data: pin.Data, q: FloatArray, normals: FloatArray, frame: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the effective masses (k,) [kg] along `normals` (k, 3) of the first contact point at `q`, and gradients.
+    """Return the effective masses (k,) [kg] along `normals` (k, 3) of a contact `frame` at `q`, and gradients.
 
     The gradients (k, 10 n) are by the parameters of the links: d m_n / d pi = m_n^2 w^T (Y(q, 0, w) - Y(q, 0, 0)) with
     w = M^-1 J^T n and M w = (Y(q, 0, w) - Y(q, 0, 0)) pi, rotors aside.
     """
-    w = np.linalg.solve(robot.mass_matrix(model, data, q), _jacobian(robot, q).T @ normals.T).T
-    masses = 1.0 / np.einsum("ki,ki->k", w @ _jacobian(robot, q).T, normals)
+    jacobian = _jacobian(robot, q, frame)
+    w = np.linalg.solve(robot.mass_matrix(model, data, q), jacobian.T @ normals.T).T
+    masses = 1.0 / np.einsum("ki,ki->k", w @ jacobian.T, normals)
     rest = np.zeros(model.nv)
     at_rest = pin.computeJointTorqueRegressor(model, data, q, rest, rest).copy()
     rows = [pin.computeJointTorqueRegressor(model, data, q, rest, row) - at_rest for row in w]
@@ -278,9 +279,9 @@ def effective_masses(estimate: ArmEstimate, samples: int) -> EffectiveMasses:
     rng, model = np.random.default_rng(RANDOM_SEED), robot.model
     changed = with_parameters(model, estimate.parameters)
     data, changed_data = model.createData(), changed.createData()
-    kinds, rows = list[str](), []
+    kinds, rows, frame = list[str](), [], next(iter(robot.contact_frames.values()))
     for q in robot.sample_configurations(samples):
-        jacobian = _jacobian(robot, q)
+        jacobian = _jacobian(robot, q, frame)
         mobility = jacobian @ np.linalg.solve(robot.mass_matrix(model, data, q), jacobian.T)
         values, vectors = np.linalg.eigh(mobility)
         worst = vectors[:, int(np.argmax(values > MIN_MOBILITY * values[-1]))]
@@ -289,16 +290,16 @@ def effective_masses(estimate: ArmEstimate, samples: int) -> EffectiveMasses:
         counted = {name: n for name, n in named.items() if n @ mobility @ n > MIN_MOBILITY * values[-1]}
         normals = np.array(list(counted.values()))
         kinds += counted
-        stated, _ = effective_mass(robot, model, data, q, normals)
-        found, gradients = effective_mass(robot, changed, changed_data, q, normals)
+        stated, _ = effective_mass(robot, model, data, q, normals, frame)
+        found, gradients = effective_mass(robot, changed, changed_data, q, normals, frame)
         deviations = (np.linalg.norm(gradients @ root, axis=1) for root in (estimate.root, estimate.prior_root))
         rows.append(np.column_stack((stated, found, *deviations)))
     return EffectiveMasses(tuple(kinds), *np.vstack(rows).T)
 
 
-def _jacobian(robot: Robot, q: FloatArray) -> FloatArray:
-    """Return the Jacobian (3, n) of the first contact point."""
-    frame, data = next(iter(robot.contact_frames.values())), robot.model.createData()
+def _jacobian(robot: Robot, q: FloatArray, frame: int) -> FloatArray:
+    """Return the Jacobian (3, n) of a frame."""
+    data = robot.model.createData()
     jacobian = pin.computeFrameJacobian(robot.model, data, q, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
     return np.reshape(jacobian, (6, robot.model.nv))[:3]
 

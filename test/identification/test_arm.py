@@ -82,13 +82,13 @@ def test_base_parameters_of_a_planar_arm_are_those_counted_by_hand() -> None:
 def test_gradient_is_that_of_finite_differences() -> None:
     robot = robot_of(PANDA)
     q, normals = robot.sample_configurations(3)[1], np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8]])
-    parameters = link_parameters(robot.model)
-    _, gradients = effective_mass(robot, robot.model, robot.model.createData(), q, normals)
+    parameters, frame = link_parameters(robot.model), next(iter(robot.contact_frames.values()))
+    _, gradients = effective_mass(robot, robot.model, robot.model.createData(), q, normals, frame)
     for index in range(0, parameters.size, 3):
         step = np.zeros(parameters.size)
         step[index] = 1e-5
         both = [with_parameters(robot.model, parameters + sign * step.reshape(parameters.shape)) for sign in (1, -1)]
-        up, down = (effective_mass(robot, model, model.createData(), q, normals)[0] for model in both)
+        up, down = (effective_mass(robot, model, model.createData(), q, normals, frame)[0] for model in both)
         np.testing.assert_allclose(gradients[:, index], (up - down) / 2e-5, rtol=1e-4, atol=1e-6)
 
 
