@@ -119,7 +119,7 @@ def assess_bag(
         counts = {"joint_states": count + monitor.ignored, "foreign": monitor.ignored, "refused": monitor.rejected}
         notes = [*skew.lines(settings, task.time)]
         if monitor.load_watch.estimate is not None:
-            notes.append(("load by the torques", monitor.load_watch.text))
+            notes.append(("load by the torques", monitor.load_text))
         result = BagResult(summary, counts, (), notes)
         result.unmodelled = monitor.unmodelled_joints
         if task.report:

@@ -149,7 +149,7 @@ def _model_status(monitor: Monitor) -> DiagnosticStatus:
         "moving mass [kg]": f"{robot.moving_mass:.4g}",
         "deciding mass": deciding_mass(dynamics, monitor.settings.effective_mass_model),
         "payload": monitor.payload_text,
-        LOAD_ENTRY: monitor.load_watch.text,
+        LOAD_ENTRY: monitor.load_text,
         "an OK covers": scope(robot, monitor.settings),
         "assumed": "; ".join(RULES[code].text for code in monitor.assumptions.assumed),
         "accepted assumptions": ", ".join(map(name_of, monitor.assumptions.accepted)),

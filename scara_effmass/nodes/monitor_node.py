@@ -290,11 +290,11 @@ class MonitorNode(LifecycleBase):
         watch = monitor.load_watch
         if watch.doubt != self._load_doubt:
             self._load_doubt = watch.doubt
-            self.get_logger().warning(watch.doubt.text or f"load by the torques: {watch.text}")
+            self.get_logger().warning(watch.doubt.text or f"load by the torques: {monitor.load_text}")
         if watch.estimate is self._load_estimate or watch.estimate is None:
             return
         self._load_estimate = watch.estimate
-        message = payload_estimate_message(watch.estimate, watch.text, monitor.dynamics.robot)
+        message = payload_estimate_message(watch.estimate, monitor.load_text, monitor.dynamics.robot)
         with self._output_lock:
             if self._publishing:
                 self._estimates.publish(message)

@@ -105,6 +105,14 @@ class LoadWatch:
             return f"not observable by this motion ({_interval(estimate)}): move {estimate.telling_joint} to and fro"
         return _interval(estimate)
 
+    @property
+    def further_load(self) -> float | None:
+        """Upper end of the interval of the load beyond the stated one [kg]; None where it is not observable."""
+        estimate = self.estimate
+        if estimate is None or estimate.unfit or not estimate.is_observable:
+            return None
+        return max(0.0, estimate.interval[1] - estimate.stated)
+
     def _doubt(self, estimate: PayloadEstimate) -> Doubt:
         if estimate.unfit:
             return Doubt()

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scara_effmass.codes import Reason
+from scara_effmass.codes import Assumption, Reason
 from scara_effmass.errors import EffmassError, KernelError, RobotError
 from scara_effmass.iso15066 import Limit, limits_of
 from scara_effmass.kernel import jit
@@ -281,6 +281,14 @@ class Monitor:
     def payload_text(self) -> str:
         """The payload with its sources, or why it is unknown."""
         return self.payload_reason or self.dynamics.robot.payload_text
+
+    @property
+    def load_text(self) -> str:
+        """The load by the torques, or why it is unknown; what would state it, while the payload is assumed."""
+        text, further = self.load_watch.text, self.load_watch.further_load
+        if further is None or Assumption.PAYLOAD not in self.assumptions.assumed:
+            return text
+        return f"{text}: the payload is not stated, --payload {math.ceil(100.0 * further) / 100.0:.2f} would cover it"
 
     @property
     def joint_map_hint(self) -> str:

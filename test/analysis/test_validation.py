@@ -230,7 +230,7 @@ def test_force_in_a_file_of_another_clock_gives_the_same_result(
     paths, tables = zip(*(without_force(path, tmp_path) for path in campaign), strict=True)
     importing = ImportSettings(topic="Force (N)", sensor=SensorSettings(invert=True))
     settings = replace(SETTINGS, force=importing, force_from=tables)
-    result, recordings = validate(paths, dynamics, settings)
+    result, recordings, *_ = validate(paths, dynamics, settings)
     assert (result.accepted, len(result.impacts), result.simulated) == (True, 6, 6)
     for path, table, recording in zip(campaign, tables, recordings, strict=True):
         with open_bag(path) as bag:
@@ -250,7 +250,7 @@ def test_a_given_offset_is_applied(campaign: list[Path], dynamics: RobotDynamics
         start_s = next(bag.force_blocks("/force")).stamp_ns / S
     importing = ImportSettings(topic="Force (N)", sensor=SensorSettings(invert=True))
     settings = replace(SETTINGS, force=importing, force_from=(table,), force_offset=start_s + 0.02)
-    result, (recording,) = validate([path], dynamics, settings)
+    result, (recording,), *_ = validate([path], dynamics, settings)
     assert recording.force_clock == f"{table}: its stamps {start_s + 0.02:+.6f} s, as given"
     assert result.clock_offset.offset == pytest.approx(-0.02, abs=1e-3)
 
@@ -270,7 +270,7 @@ def test_offset_of_a_file_is_on_the_clock_of_the_joint_states(
     with open_bag(campaign[0]) as bag:
         start_s = next(bag.force_blocks("/force")).stamp_ns / S
     importing = ImportSettings(topic="Force (N)", sensor=SensorSettings(invert=True))
-    result, (recording,) = validate(
+    result, (recording,), *_ = validate(
         [path], dynamics, replace(ONE_MASS, time=time, force=importing, force_from=(table,))
     )
     assert len(result.impacts) == 1

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A load that nobody stated, seen in the torques of simulated joint states."""
 
+import re
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -105,6 +106,7 @@ def test_stated_load_is_no_doubt() -> None:
         assert estimate is not None
         assert estimate.stated == stated
         assert estimate.interval[0] < 2.0 < estimate.interval[1]
+        assert watcher.load_text == watcher.load_watch.text
 
 
 def test_small_unstated_load_warns() -> None:
@@ -120,10 +122,20 @@ def test_no_load_and_no_effort_raise_no_doubt() -> None:
     watcher = monitor()
     assert not {Reason.UNSTATED_LOAD, Reason.HEAVIER_LOAD} & codes(watcher, motion(0.0))
     assert "0.0" in watcher.load_watch.text
+    assert watcher.load_text == watcher.load_watch.text  # the payload is accepted as assumed
     without = motion(2.0)._replace(effort=np.empty((len(motion(2.0).stamps), 0)))
     watcher = monitor()
     assert Reason.UNSTATED_LOAD not in codes(watcher, without)
     assert watcher.load_watch.text.startswith("unknown: it needs joint states with effort")
+
+
+def test_assumed_payload_says_what_the_torques_show() -> None:
+    watcher = monitor(accept_assumptions=())
+    assert watcher.load_text.startswith("unknown: it needs")
+    codes(watcher, motion(0.0))
+    found = re.fullmatch(r".*: the payload is not stated, --payload (0\.\d\d) would cover it", watcher.load_text)
+    assert found
+    assert 0.0 < float(found[1]) < 0.3
 
 
 def test_motor_current_is_no_torque_unless_stated() -> None:
