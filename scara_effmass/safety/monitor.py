@@ -592,9 +592,10 @@ class Monitor:
         changes: list[tuple[int, Doubt]] = []
         if has_effort:
             rows = np.flatnonzero(records["is_admitted"])
-            torque = effort.reshape(len(records), -1)[np.ix_(rows, layout.order)]
-            found = watch.watch(records["stamp_ns"][rows], pending.q[rows], pending.qd[rows], torque)
-            changes = [(int(rows[row]), doubt) for row, doubt in found]
+            values = records["stamp_ns"], pending.q, pending.qd, effort.reshape(len(records), -1)[:, layout.order]
+            if len(rows) < len(records):
+                values = tuple(column[rows] for column in values)  # type: ignore[assignment]
+            changes = [(int(rows[row]), doubt) for row, doubt in watch.watch(*values)] if len(rows) else []
         for (start, doubt), (stop, _) in pairwise([(0, before), *changes, (len(records), Doubt())]):
             if doubt.reason:
                 part, text = records[start:stop], self._detail(doubt.text)

@@ -37,6 +37,15 @@ def test_json_has_every_model_the_lumped_first(cli_process: Cli, campaign: Path,
             assert isinstance(model[name], float)
         assert isinstance(model["non_conservative"], int)
     assert [model["accepted"] for model in report["models"]] == [True, True, False]
+    scales = report["mass_scale_by_motion"]
+    for model in report["models"]:  # what impacts and motion say of the mass agrees
+        scale = scales[model["model"]]
+        low, high = scale["scale"] - scale["half"], scale["scale"] + scale["half"]
+        if model["model"] != "iso":
+            assert low < model["mass_scale"] < high
+    assert scales["full"]["scale"] == pytest.approx(1.0, abs=0.05)
+    assert scales["iso"]["scale"] < 0.8
+    assert report["no_mass_scale_by_motion"] == ""
     assert report.pop("output") == "new/report"
     assert report == json.loads((tmp_path / "new" / "report" / "report.json").read_text(encoding="utf-8"))
 
@@ -50,7 +59,8 @@ def test_the_summary_is_short(cli: Cli, refused: Refused, campaign: Path) -> Non
     assert "converted from a measured peak of " in lines[1]
     assert "6 in the series, 6 of them simulated; " in lines[2]
     assert " rebounds of earlier impacts, which count with them" in lines[2]
-    subjects = ["lumped", "mass", "full", "mass", "iso", "mass", "clocks", "comparison", "excluded", "robot", "written"]
+    models = [subject for model in ("lumped", "full", "iso") for subject in (model, "mass", "mass")]
+    subjects = [*models, "clocks", "comparison", "excluded", "robot", "written"]
     assert [line.split()[0] for line in lines[3:]] == subjects
     assert "would have found a mass error of " in lines[4]
     assert "--force" in refused("validate", campaign, "-o", "report")

@@ -37,10 +37,19 @@ def test_means_are_those_of_the_interval() -> None:
         np.testing.assert_array_equal(mean[HIGHEST], np.maximum(qd[first], qd[last]))
 
 
-@settings(max_examples=30, deadline=None)
-@given(st.sets(st.integers(1, 39), max_size=12))
-def test_batches_do_not_matter(cuts: set[int]) -> None:
+@settings(max_examples=100, deadline=None)
+@given(
+    st.sets(st.integers(1, 39), max_size=12) | st.just(set(range(1, 40))),
+    st.sampled_from([1, 4]),
+    st.lists(st.tuples(st.integers(1, 39), st.sampled_from([0, 200_000_000, -50_000_000, -3_000_000])), max_size=3),
+)
+def test_batches_do_not_matter(cuts: set[int], divisor: int, breaks: list[tuple[int, int]]) -> None:
+    """Neither with gaps, steps back and torques that are not finite; one by one, joint states wait for others."""
     stamps, q, qd, torque = states()
+    stamps = stamps[0] + (stamps - stamps[0]) // divisor
+    for row, step_ns in breaks:
+        stamps[row:] += step_ns
+        torque[row, 0] += 0.0 if step_ns else np.nan
     rows, means = Intervals(np.zeros(2), TIMEOUT_S).add(stamps, q, qd, torque)
     parts, found = Intervals(np.zeros(2), TIMEOUT_S), []
     for start, stop in pairwise([0, *sorted(cuts), 40]):
