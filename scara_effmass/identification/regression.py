@@ -263,7 +263,10 @@ class TorqueRegression:
             deviations = np.sqrt(np.diag(covariance))
             friction = np.hypot(own[:, 0], deviations[p::_OWN])
             if iteration == _FREE_ITERATIONS - 1:
-                unfit = self._unfit(own[:, 2], deviations[p + 2 :: _OWN])
+                unfit, free_noise = self._unfit(own[:, 2], deviations[p + 2 :: _OWN]), noise
+        # Twice the logarithm of the ratio of likelihoods: whether the free fit is better at all.
+        if np.sum(sums.counts * np.log(noise / free_noise)) < MIN_SIGNIFICANCE**2:
+            unfit = ""
         noise_of_rows = np.where(sums.counts > 0.0, noise * inflation, (NOISE * scales) ** 2)
         self._solved, self._sums = _System(weighted, columns, noise_of_rows, scales), sums
         self._counted = counted
