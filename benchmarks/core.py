@@ -120,6 +120,22 @@ def measure_contact_points() -> dict[int, float]:
     return {count: float(np.median(own)) for count, own in times.items()}
 
 
+def measure_effort() -> tuple[float, float]:
+    """Return the mean CPU time per cycle [us] with and without effort, from which the load is estimated, in turn."""
+    settings = MonitorSettings(contact_points=("tool",))
+    robot = load_robot(settings=settings)
+    data, states = robot.model.createData(), smooth_motion()
+    torques = [pin.rnea(robot.model, data, one.position, one.velocity, np.zeros(4)) for one in states]
+    times: list[list[float]] = [[], []]
+    monitors = [new_monitor(robot, settings) for _ in times]
+    for start in range(0, len(states), CYCLES_PER_BLOCK):
+        part = slice(start, start + CYCLES_PER_BLOCK)
+        with_effort = [one._replace(effort=effort) for one, effort in zip(states[part], torques[part], strict=True)]
+        for monitor, own, chunk in zip(monitors, times, (with_effort, states[part]), strict=True):
+            own.append(_time(lambda state, own=monitor: own.assess_one(state, state.stamp_ns), chunk))
+    return float(np.mean(times[0])), float(np.mean(times[1]))
+
+
 def _time(function: Callable[[JointState], object], states: list[JointState]) -> float:
     started = time.thread_time()  # other programs do not count
     for state in states:

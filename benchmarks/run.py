@@ -46,6 +46,7 @@ def main() -> None:
     for points, goal in core.CONTACTS.items():
         what = f"{points} contact points" if points else "2 contact points and 4 links"
         row(f"core, {what}", times_us[points], "1 contact point", times_us[1], "us", f"<= {goal:g}")
+    row("core, joint states with effort", *_around("without", core.measure_effort()), "us", "")
     row("bag, joint states", *_around("rosbags", bags.measure()), "1/s", ">= 10")
     for robot, (file, points, goal) in assess.ROBOTS.items():
         what = f"bag -> verdicts, {robot}"

@@ -23,9 +23,6 @@ Q, QD, QDD, TORQUE, LOWEST, HIGHEST = range(6)
 LAST_Q, LAST_QD, LAST_TORQUE, FIRST_QD, SUM_Q, SUM_QD, SUM_TORQUE, MIN_QD, MAX_QD = range(9)
 
 
-NO_INTERVALS: tuple[IntArray, FloatArray] = (np.empty(0, np.int64), np.empty((0, 6, 0)))
-
-
 class Intervals:
     """Means of the joint states of n joints, whose positions have `periods` (n,), 0 for none.
 
@@ -37,7 +34,22 @@ class Intervals:
         self._periods, self._timeout_ns = periods, round(timeout_s * 1e9)
         self._memory, self._stamps = np.zeros((9, len(periods))), np.zeros(3, np.int64)
         self._waiting, self._waiting_stamps = np.empty((3, MAX_WAITING, len(periods))), np.empty(MAX_WAITING, np.int64)
-        self._count = 0
+        self._count, self._last_ns, self._end_ns = 0, 0, 0
+
+    def wait(self, stamp_ns: int, q: FloatArray, qd: FloatArray, torque: FloatArray) -> bool:
+        """Keep the next joint state, with `q`, `qd` and `torque` (n,), if no interval ends with it; return whether.
+
+        Together with the next ones it is cheaper.
+        """
+        count = self._count
+        if not count and not self._end_ns:
+            self._last_ns, self._end_ns = stamp_ns - 1, stamp_ns + INTERVAL_NS
+        if count == MAX_WAITING or not self._last_ns < stamp_ns < self._end_ns:
+            return False
+        self._waiting_stamps[count] = self._last_ns = stamp_ns
+        self._waiting[0, count], self._waiting[1, count], self._waiting[2, count] = q, qd, torque
+        self._count = count + 1
+        return True
 
     def add(self, stamps: IntArray, q: FloatArray, qd: FloatArray, torque: FloatArray) -> tuple[IntArray, FloatArray]:
         """Return the joint states (K,) with which intervals ended, by number, and their means (K, 6, n).
@@ -45,13 +57,7 @@ class Intervals:
         `stamps` (N,) [ns], `q`, `qd` and `torque` (N, n) are the next joint states. The mean of qdd is exact: the
         change of qd over the duration; the others are by the trapezoidal rule.
         """
-        waiting = self._count
-        if len(stamps) == 1 and self._can_wait(int(stamps[0])):
-            self._waiting_stamps[waiting] = stamps[0]
-            self._waiting[0, waiting], self._waiting[1, waiting], self._waiting[2, waiting] = q[0], qd[0], torque[0]
-            self._count += 1
-            return NO_INTERVALS
-        if waiting:
+        if waiting := self._count:
             stamps = np.concatenate((self._waiting_stamps[:waiting], stamps))
             q, qd, torque = (
                 np.concatenate(rows) for rows in zip(self._waiting[:, :waiting], (q, qd, torque), strict=True)
@@ -61,17 +67,9 @@ class Intervals:
         count = fill_intervals(
             stamps, q, qd, torque, self._periods, self._timeout_ns, self._memory, self._stamps, ends, means
         )
+        first_ns, self._last_ns, length = self._stamps.tolist()
+        self._end_ns = first_ns + INTERVAL_NS if length else 0
         return ends[:count] - waiting, means[:count]
-
-    def _can_wait(self, stamp_ns: int) -> bool:
-        """Return whether no interval ends with a joint state at `stamp_ns`: then it is cheaper with the next ones."""
-        count, (first_ns, last_ns, length) = self._count, self._stamps.tolist()
-        if count:
-            last_ns = int(self._waiting_stamps[count - 1])
-            first_ns = first_ns if length else int(self._waiting_stamps[0])
-        elif not length:
-            first_ns, last_ns = stamp_ns, stamp_ns - 1
-        return count < MAX_WAITING and last_ns < stamp_ns < first_ns + INTERVAL_NS
 
 
 @compiled

@@ -79,6 +79,10 @@ class LoadWatch:
         self.estimate: PayloadEstimate | None = None
         self.doubt = Doubt()
 
+    def wait(self, stamp_ns: int, q: FloatArray, qd: FloatArray, effort: FloatArray) -> bool:
+        """Keep the next joint state (n,) for `watch` if nothing changes with it, unless `why_not`; return whether."""
+        return self._intervals.wait(stamp_ns, q, qd, effort * self._constants)
+
     def watch(self, stamps: IntArray, q: FloatArray, qd: FloatArray, effort: FloatArray) -> Iterator[tuple[int, Doubt]]:
         """Yield what is in doubt from which of the next N joint states on, unless `why_not`.
 

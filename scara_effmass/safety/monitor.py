@@ -591,11 +591,15 @@ class Monitor:
             return
         changes: list[tuple[int, Doubt]] = []
         if has_effort:
+            torque = (effort if layout.is_ordered else effort[..., layout.order]).reshape(len(records), -1)
+            if len(records) == 1 and not before.reason:
+                state = records[0]
+                values = int(state["stamp_ns"]), pending.q[0], pending.qd[0], torque[0]
+                if not state["is_admitted"] or watch.wait(*values):
+                    return
             rows = np.flatnonzero(records["is_admitted"])
-            values = records["stamp_ns"], pending.q, pending.qd, effort.reshape(len(records), -1)[:, layout.order]
-            if len(rows) < len(records):
-                values = tuple(column[rows] for column in values)  # type: ignore[assignment]
-            changes = [(int(rows[row]), doubt) for row, doubt in watch.watch(*values)] if len(rows) else []
+            found = watch.watch(records["stamp_ns"][rows], pending.q[rows], pending.qd[rows], torque[rows])
+            changes = [(int(rows[row]), doubt) for row, doubt in found]
         for (start, doubt), (stop, _) in pairwise([(0, before), *changes, (len(records), Doubt())]):
             if doubt.reason:
                 part, text = records[start:stop], self._detail(doubt.text)
