@@ -234,7 +234,7 @@ def test_values_are_read_as_ros_reads_them(folder: Path) -> None:
         ("robot: 12", "robot = 12: must be STRING, is INTEGER: YAML needs quotes"),
         ("person_speeds: 1.0", "person_speeds: unknown: must be person_speed"),
         ("contact_area_m2: 0.0", "contact_area_m2 = 0.0: must be greater than 0"),
-        ("contact_area: 2.0", "contact_area: unknown: must be contact_areas$"),
+        ("contact_area: 2.0", "contact_area: unknown: must be contact_area_m2 or contact_areas$"),
         ("contact_area_m2: 2.0", r"contact_area_m2 = 2.0: must be less than or equal to 0\.1$"),
     ],
 )

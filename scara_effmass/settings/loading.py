@@ -29,6 +29,8 @@ NODE_ONLY = frozenset(
 )
 """Parameters of nodes only: a shared file may contain them, and offline commands ignore them."""
 
+MAX_LONGER = 3
+"""Largest number of names to suggest because they begin with an unknown one, such as one without its unit."""
 _GROUP = "must hold keys with their values"
 _RULES = {
     "missing": "must be present",
@@ -133,9 +135,11 @@ def flat_fields(settings: type[BaseModel], prefix: str = "") -> dict[str, FieldI
 
 
 def nearest(name: str, names: Iterable[str]) -> str:
-    """Return the rule for an unknown `name`: the most similar one of `names`, or all of them."""
+    """Return the rule for an unknown `name`: those of `names` that begin with it, the most similar one, or all."""
     names = list(names)
-    return f"must be {' or '.join(get_close_matches(name, names, n=1)) or ', '.join(names) or 'absent'}"
+    longer = [other for other in names if name and other.startswith(name)]
+    similar = longer if 0 < len(longer) <= MAX_LONGER else get_close_matches(name, names, n=1)
+    return f"must be {' or '.join(similar) or ', '.join(names) or 'absent'}"
 
 
 def load_settings(
