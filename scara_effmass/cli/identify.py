@@ -32,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
         problem = "the torques do not fit"
         if is_fit:
             try:
-                files[corrected] = corrected_robot(found.estimate, settings, args.bag)
+                files[corrected] = corrected_robot(found.estimate, settings, args.bag, found.mass_uncertainties[1])
             except RobotError as error:
                 problem = str(error)
         figure = report.report_figure(NAME, "Identified masses", found.robot.name, draw_identification(found))

@@ -29,15 +29,17 @@ def corrected_name(path: Path) -> str:
     return path.with_suffix(".urdf").name if loader_of(path) is load_urdf else path.name
 
 
-def corrected_robot(found: ArmEstimate, settings: MonitorSettings, recording: Path) -> bytes:
+def corrected_robot(found: ArmEstimate, settings: MonitorSettings, recording: Path, mass_uncertainty: float) -> bytes:
     """Return the robot file of `settings` with the masses found in a `recording`: of a lumped model without inertias.
 
-    Of a URDF, each link behind a moving joint has all of the body that moves with it; the links fixed to it have none.
-    Raises RobotError for a link that is no body without its stated load.
+    A comment says where they come from, and states their `mass_uncertainty`. Of a URDF, each link behind a moving joint
+    has all of the body that moves with it; the links fixed to it have none. Raises RobotError for a link that is no
+    body without its stated load.
     """
     path = settings.robot_path
     name = recording.name.encode("ascii", "backslashreplace").decode()
-    source = f"identified by scara-effmass from {name} (SHA-256 {digest(recording, BagError)})"
+    origin = f"{name} (SHA-256 {digest(recording, BagError)})"
+    source = f"identified by scara-effmass from {origin}, for mass_uncertainty {mass_uncertainty:.3f}"
     unloaded = settings.model_copy(update={"payload_mass": 0.0, "payload_inertia": (0.0,) * 6})
     loaded, bare = (link_parameters(found.robot.rebuild(case).model) for case in (settings, unloaded))
     load = loaded - bare

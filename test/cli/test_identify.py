@@ -91,6 +91,7 @@ def test_corrected_dh_file_has_the_identified_bodies(cli: Cli, scara_bag: Path, 
     np.testing.assert_allclose(found, [link["identified"] for link in result["links"]], rtol=1e-6, atol=1e-8)
     assert corrected.payload_mass == pytest.approx(0.35)
     text = (tmp_path / "omron_i4_550l.yaml").read_text()
+    assert f", for mass_uncertainty {result['mass_uncertainty']['of_the_corrected_file']:.3f}. " in text
     assert text.startswith("# Masses identified by scara-effmass from scara.mcap (SHA-256 ")
 
 
