@@ -38,6 +38,7 @@ from scara_effmass.errors import BagError, OutputError
 from scara_effmass.input_files import digest
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
+from scara_effmass.safety.reasons import LOAD_ENTRY
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.url import Url
 
@@ -119,7 +120,7 @@ def assess_bag(
         counts = {"joint_states": count + monitor.ignored, "foreign": monitor.ignored, "refused": monitor.rejected}
         notes = [*skew.lines(settings, task.time)]
         if monitor.load_watch.estimate is not None:
-            notes.append(("load by the torques", monitor.load_text))
+            notes.append((LOAD_ENTRY, monitor.load_text))
         result = BagResult(summary, counts, (), notes)
         result.unmodelled = monitor.unmodelled_joints
         if task.report:

@@ -3,14 +3,14 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import defaultdict, deque
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from scara_effmass.analysis.assessment import joint_state_topic
+from scara_effmass.analysis.assessment import Time, joint_state_topic
 from scara_effmass.bags.files import open_bag
 from scara_effmass.codes import Reason
 from scara_effmass.errors import BagError, RobotError
@@ -31,6 +31,7 @@ from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety.joint_state_adapter import JointStateAdapter
 from scara_effmass.settings import MassModel, MonitorSettings
 from scara_effmass.values import FloatArray, ValidatedImpact
+from scara_effmass.wire.cdr import NS
 
 CONFIGURATIONS = 200
 """Number of configurations over the workspace at which effective masses are compared."""
@@ -81,6 +82,7 @@ class Identification(NamedTuple):
             "joint_states": self.total,
             "joint_states_used": self.used,
             "unfit": estimate.unfit,
+            "rows": {"counted": estimate.solution.rows, "left_out": estimate.solution.left_out},
             "base_parameters": {
                 "identifiable": estimate.base.identifiable,
                 "rank": estimate.base.rank,
@@ -129,12 +131,13 @@ class Identification(NamedTuple):
         if estimate.unfit:
             yield "no masses", f"{estimate.unfit}: state --torque-constants, or check masses and units of the file"
             return
-        text = f"{base.rank} of {base.identifiable} base parameters move the torques"
+        rows = f"{estimate.solution.left_out} of {estimate.solution.rows + estimate.solution.left_out} rows stand out"
+        text = f"{base.rank} of {base.identifiable} base parameters move the torques, {rows} and do not count"
         poor = base.rank < base.identifiable or base.condition_number > MAX_CONDITION
         advice = ": poor, move all joints to and fro, at several poses" if poor else ""
         yield "motion", f"{text}, condition number {base.condition_number:.3g}{advice}"
         if estimate.is_projected:
-            yield "consistency", "the nearest links that can be count: least squares alone gives one that cannot"
+            yield "consistency", "projected to the nearest links that are physically possible"
         if estimate.point_masses:
             masses = zip(estimate.point_masses.on_axes, estimate.point_masses.axes_deviations, strict=True)
             text = ", ".join(f"{mass:.3f} ± {Z_95 * deviation:.3f}" for mass, deviation in masses)
@@ -144,8 +147,8 @@ class Identification(NamedTuple):
         within = f"within {100 * half['median']:.1f} % (95 % of the workspace {100 * half['p95']:.1f} %)"
         yield "effective mass", f"{text}, {within}"
         of_file, corrected = self.mass_uncertainties
-        text = f"mass_uncertainty {of_file:.3f} for the robot file as it is, {corrected:.3f} for the corrected one"
-        yield "uncertainty", text
+        text = f"{of_file:.3f} for the robot file as it is, {corrected:.3f} for the corrected one"
+        yield "mass_uncertainty", text
 
     def rows(self) -> Iterator[tuple[object, ...]]:
         """Yield what HEADINGS names, per joint."""
@@ -215,10 +218,19 @@ class _Motion:
         self.has_torque = False
 
     def means(
-        self, path: Path, topic: str | None, stamps_ns: Sequence[int] = (), poses: list[FloatArray] | None = None
+        self,
+        path: Path,
+        topic: str | None,
+        time: Time = Time.HEADER,
+        stamps_ns: Sequence[int] = (),
+        poses: dict[int, FloatArray] | None = None,
     ) -> Iterator[FloatArray]:
-        """Yield the means (6, n) over the intervals of a recording; append q (n,) at `stamps_ns` to `poses`."""
-        robot, adapter, waiting = self._robot, self._adapter, sorted(stamps_ns)
+        """Yield the means (6, n) over the intervals of a recording; put q (n,) at `stamps_ns` into `poses`.
+
+        A stamp without a joint state within `timeout` after it has none.
+        """
+        robot, adapter, waiting = self._robot, self._adapter, deque(sorted(stamps_ns))
+        timeout_ns = round(self._settings.timeout * NS)
         intervals = Intervals(robot.periods, self._settings.timeout)
         with open_bag(path) as bag:
             for block in bag.joint_state_blocks(joint_state_topic(bag, topic)):
@@ -230,19 +242,23 @@ class _Motion:
                 reason, _ = adapter.read(layout, block.position, block.velocity, q, qd)
                 if reason is not Reason.NONE or block.effort.shape[-1] != len(block.names) or not block.velocity.size:
                     continue
+                stamps = block.log_time_ns if time is Time.LOG else block.stamp_ns
                 effort = block.effort[:, layout.order]
                 self.has_torque |= bool(np.any(effort != 0.0))
                 self.used += size
-                while poses is not None and waiting and waiting[0] <= block.stamp_ns[-1]:
-                    poses.append(q[int(np.searchsorted(block.stamp_ns, waiting.pop(0)))])
-                yield from intervals.add(block.stamp_ns, q, qd, effort * robot.torque_constants)[1]
+                while poses is not None and waiting and waiting[0] <= stamps[-1]:
+                    row = int(np.searchsorted(stamps, stamp_ns := waiting.popleft()))
+                    if stamps[row] - stamp_ns <= timeout_ns:
+                        poses[stamp_ns] = q[row]
+                yield from intervals.add(stamps, q, qd, effort * robot.torque_constants)[1]
 
 
 class ScaleByMotion(NamedTuple):
-    """Mean over impacts of the effective mass by the torques over that of a model, with half its interval of 95 %."""
+    """Mean over `impacts` of the effective mass by the torques over that of a model, with half its interval of 95 %."""
 
     scale: float
     half: float
+    impacts: int
 
     @property
     def text(self) -> str:
@@ -251,31 +267,37 @@ class ScaleByMotion(NamedTuple):
 
 
 def scales_by_motion(
-    recordings: Sequence[tuple[Path, str, Sequence[ValidatedImpact]]], robot: Robot, settings: MonitorSettings
+    recordings: Sequence[tuple[Path, str, Sequence[ValidatedImpact]]],
+    robot: Robot,
+    settings: MonitorSettings,
+    time: Time,
 ) -> tuple[dict[str, ScaleByMotion], str]:
     """Return the factors on the masses of the models by the motion in recordings, and why there are none.
 
     Each recording has its topic of joint states and its impacts, in whose poses and directions the masses count.
+    `time` is that of the stamps of the impacts.
     """
-    found: list[tuple[ValidatedImpact, FloatArray]] = []
+    poses: list[tuple[ValidatedImpact, FloatArray]] = []
     motion = _Motion(robot, settings)
 
     def all_means() -> Iterator[FloatArray]:
         for path, topic, impacts in recordings:
-            poses = list[FloatArray]()
-            yield from motion.means(path, topic, [impact.stamp_ns for impact in impacts], poses)
-            found.extend(zip(sorted(impacts, key=lambda impact: impact.stamp_ns), poses, strict=False))
+            by_stamp = dict[int, FloatArray]()
+            yield from motion.means(path, topic, time, [impact.stamp_ns for impact in impacts], by_stamp)
+            poses.extend((one, by_stamp[one.stamp_ns]) for one in impacts if one.stamp_ns in by_stamp)
 
     estimate = identify_arm(robot, all_means(), settings.effort_uncertainty)
-    if not motion.has_torque or estimate is None:
-        return {}, "the joint states carry no effort in motion"
+    if not motion.has_torque:
+        return {}, "the joint states carry no effort"
+    if estimate is None:
+        return {}, "no joint moves for long enough"
     if estimate.unfit:
         return {}, estimate.unfit
     model = with_parameters(robot.model, estimate.parameters)
     data = model.createData()
     ratios, gradients = defaultdict[str, list[float]](list), defaultdict[str, list[FloatArray]](list)
-    for impact, q in found:
-        if impact.contact_point in robot.hulls:
+    for impact, q in poses:
+        if impact.contact_point in robot.hulls:  # anywhere on a link
             continue
         frame, normal = robot.contact_frames[impact.contact_point], np.array([impact.direction])
         (mass,), (gradient,) = effective_mass(robot, model, data, q, normal, frame)
@@ -284,8 +306,10 @@ def scales_by_motion(
             gradients[prediction.model].append(gradient / prediction.effective_mass)
     scales = {
         name: ScaleByMotion(
-            float(np.mean(values)), Z_95 * float(np.linalg.norm(np.mean(gradients[name], axis=0) @ estimate.root))
+            float(np.mean(values)),
+            Z_95 * float(np.linalg.norm(np.mean(gradients[name], axis=0) @ estimate.root)),
+            len(values),
         )
         for name, values in ratios.items()
     }
-    return scales, "" if scales else "no impact at a contact point, whose place is known"
+    return scales, "" if scales else "no impact has joint states with effort and a contact point of known place"

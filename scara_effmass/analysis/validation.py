@@ -197,7 +197,7 @@ def with_motion(validation: Validation, dynamics: RobotDynamics, settings: Valid
     if dynamics.full_reason:
         return validation._replace(no_motion=dynamics.full_reason)
     recordings = [(item.path, item.joint_state_topic, item.impacts) for item in validation.recordings]
-    by_motion, no_motion = scales_by_motion(recordings, dynamics.robot, settings.monitor)
+    by_motion, no_motion = scales_by_motion(recordings, dynamics.robot, settings.monitor, settings.time)
     return validation._replace(by_motion=by_motion, no_motion=no_motion)
 
 

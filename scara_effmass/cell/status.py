@@ -14,7 +14,7 @@ import numpy as np
 
 from scara_effmass.codes import Reason
 from scara_effmass.safety.assumptions import Assumptions
-from scara_effmass.safety.reasons import plain_text
+from scara_effmass.safety.reasons import LOAD_ENTRY, plain_text
 from scara_effmass.values import (
     ContactAssessment,
     Decision,
@@ -30,8 +30,6 @@ from scara_effmass.values import (
 HISTORY_NS = 60_000_000_000
 BIN_NS = 50_000_000
 """Bin width of the history [ns]; each bin keeps its worst sample."""
-LOAD_ENTRY = "load by the torques"
-"""Key of the load in the diagnostics of the monitor."""
 DEFAULT_TIMEOUT_NS = 400_000_000
 """Deadline that a monitor with default settings offers [ns]."""
 MAX_EPISODES = 1000
@@ -62,6 +60,7 @@ class LoadSample(NamedTuple):
     mass_lower: float
     mass_upper: float
     stated_mass: float
+    is_observable: bool
     text: str
 
 

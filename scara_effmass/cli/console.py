@@ -51,7 +51,7 @@ def print_lines(lines: Iterable[tuple[str, object]]) -> None:
     """Print each subject and its text in two columns."""
     console = printer()
     for subject, text in lines:
-        console.print(f"{subject:<16}{text}")
+        console.print(f"{subject:<15} {text}")
 
 
 def print_json(result: object) -> None:

@@ -66,5 +66,7 @@ def write_report(result: Result, settings: NodeSettings, folder: Path) -> Path:
     )
     report_settings = ValidationSettings(monitor=monitor, validator=validator, detection=settings.detection)
     robot = load_robot(monitor.robot_path, monitor)
-    validation_report.write_report(Validation(result, ()), report_settings, robot, folder, overwrite=False)
+    validation_report.write_report(
+        Validation(result, (), no_motion="the series was live"), report_settings, robot, folder, overwrite=False
+    )
     return folder / PAGE

@@ -185,8 +185,8 @@ class Page:
         _show(self._scatter, low, safe, [[0.0, 0.0], [end, end]] if end else [])
         self._scatter.set_visibility(bool(status.validations))
         self._series.text = _series_text(status)
-        _show(self._loads, *_load_lines(status, now_ns))
-        self._loads.set_visibility(bool(status.loads))
+        _show(self._loads, *load_lines(status, now_ns))
+        self._loads.set_visibility(any(sample.is_observable for sample in status.loads))
         self._load.text = status.load_text(now_ns)
         self._diagnostics.content = _table(
             ["node", "status", "message"],
@@ -260,11 +260,17 @@ def _speed_lines(status: CellStatus, now_ns: int) -> tuple[list[list[float | Non
     return lines
 
 
-def _load_lines(status: CellStatus, now_ns: int) -> list[list[list[float]]]:
-    """Return the load by the torques, both ends of its interval, and the stated load over the last minute."""
+def load_lines(status: CellStatus, now_ns: int) -> list[list[list[float | None]]]:
+    """Return the load by the torques, both ends of its interval, and the stated load over the last minute.
+
+    Where it is not observable there is a gap.
+    """
     samples = [sample for sample in status.loads if now_ns - sample.at_ns <= HISTORY_NS]
     return [
-        [[round((sample.at_ns - now_ns) / 1e9, 2), round(getattr(sample, name), 3)] for sample in samples]
+        [
+            [round((sample.at_ns - now_ns) / 1e9, 2), round(getattr(sample, name), 3) if sample.is_observable else None]
+            for sample in samples
+        ]
         for name in ("mass", "mass_lower", "mass_upper", "stated_mass")
     ]
 

@@ -2,7 +2,7 @@
 """Inertial parameters of all moving links from motion and torques, and the effective masses that follow.
 
 A robot whose inertia tensors are known has bodies for links. Otherwise the two point masses of each link of the lumped
-model are estimated, at the places that it gives them, none negative that the file does not give as such.
+model are estimated, at the places that it gives them. A mass may be negative only where that of the file is.
 
 For bodies, the prior is the robot file: the pseudo-inertia of a link is U (I + S) U^T with that of the file U U^T and a
 symmetric S whose entries have a standard deviation, as in the metric of Lee, Wensing & Park 2020
@@ -24,7 +24,7 @@ from scipy.linalg import block_diag, qr
 from scipy.optimize import least_squares, lsq_linear
 
 from scara_effmass.identification.regression import Solution, TorqueRegression, link_parameters
-from scara_effmass.model.lumping import ON_AXIS_M, LumpedModel
+from scara_effmass.model.lumping import LumpedModel
 from scara_effmass.model.robot import Robot
 from scara_effmass.values import FloatArray
 
@@ -166,6 +166,9 @@ def identify_arm(
         joint = robot.joint_names[int(worst.argmax())]
         unfit = f"the link behind {joint} is {worst.max():.0f} standard deviations off the file"
     root = vectors * np.sqrt(values)
+    masses = None if lumped is None else _point_masses(lumped, prior.stated + prior.units @ change, prior.units @ root)
+    if masses is not None and not unfit and masses.on_axes.min() < 0.0:
+        unfit = f"the lumped mass on axis {masses.on_axes.argmin() + 1} is {masses.on_axes.min():.3g} kg"
     stated = link_parameters(prior.robot.model)
     return ArmEstimate(
         prior.robot,
@@ -180,7 +183,7 @@ def identify_arm(
         int(np.sum(values < 0.25)),
         is_projected,
         unfit,
-        None if lumped is None else _point_masses(lumped, prior.stated + prior.units @ change, prior.units @ root),
+        masses,
     )
 
 
@@ -206,15 +209,16 @@ def _two_masses_each(robot: Robot, lumped: LumpedModel) -> _Prior:
     pairs = [np.hstack(columns[index : index + 2]) for index in range(0, len(columns), 2)]
     stated = _stated_masses(lumped)
     links = stated.sum(axis=1, keepdims=True)
+    links = np.maximum(links, MIN_MASS_SHARE * links.mean())
     deviations = DEVIATION * np.maximum(np.abs(stated), MIN_KAPPA * links).ravel()
     # As of a body, some mass is left of a link, and a mass is negative only where that of the file is.
-    least = np.minimum(stated, MIN_MASS_SHARE * links).ravel() / deviations
+    lowest = np.minimum(stated, MIN_MASS_SHARE * links).ravel() / deviations
     start = stated.ravel() / deviations
 
     def project(mean: FloatArray, whitening: FloatArray) -> tuple[FloatArray, bool]:
-        if (mean >= least).all():
+        if (mean >= lowest).all():
             return mean, False
-        return np.asarray(lsq_linear(whitening, whitening @ mean, (least, np.inf)).x), True
+        return np.asarray(lsq_linear(whitening, whitening @ mean, (lowest, np.inf)).x), True
 
     return _Prior(
         replace(robot, model=lumped.model),
@@ -236,7 +240,7 @@ def _point_masses(lumped: LumpedModel, masses: FloatArray, root: FloatArray) -> 
     axis, axes = 0, list[int]()
     for link in lumped.links:
         axes.append(axis)
-        axis += bool(np.linalg.norm(np.subtract(link.point2, link.point1)) > ON_AXIS_M)
+        axis += link.axes != "coincident"
         axes.append(axis)
     sums = np.equal.outer(np.arange(axis + 1), axes).astype(float)
     return PointMasses(

@@ -23,6 +23,8 @@ BLOCKS = 10
 """Number of blocks that count, about 10 s of motion; the estimate is renewed after each."""
 MAX_MASS = 1e6
 """Effective mass [kg] from which on it counts as infinite, with and without the load."""
+MAX_LOAD = 1.0
+"""Largest load, as a share of the mass of the arm: no arm carries more than itself."""
 LEVER = 0.1
 """Standard deviation of the distance of the load from its joint before anything is known, as a share of the reach."""
 
@@ -75,7 +77,7 @@ class PayloadEstimator:
         link_uncertainty: float = 0.0,
     ) -> None:
         mass, lever = max(robot.moving_mass, 0.0), LEVER * robot.reach
-        self._stated = stated
+        self._stated, self._arm_mass = stated, mass
         self._observable = max(mass_uncertainty, 0.01) * mass
         self._prior = np.array([mass] + 3 * [mass * lever] + 6 * [mass * lever * lever])
         load = np.zeros((10 * robot.model.nv, 10))
@@ -93,7 +95,8 @@ class PayloadEstimator:
         load = self._prior * found.parameters[:count]
         deviations = self._prior * np.sqrt(np.diag(found.covariance)[:count])
         mass, deviation, unfit = self._stated + float(load[0]), float(deviations[0]), found.unfit
-        if mass + MIN_SIGNIFICANCE * deviation < 0.0:
+        lower, upper = mass - MIN_SIGNIFICANCE * deviation, mass + MIN_SIGNIFICANCE * deviation
+        if upper < 0.0 or lower > MAX_LOAD * self._arm_mass:
             unfit = unfit or f"the torques are those of a load of {mass:.2f} kg"
         is_observable = Z_95 * deviation <= self._observable
         return PayloadEstimate(

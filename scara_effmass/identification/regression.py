@@ -44,8 +44,8 @@ UNKNOWN_UNIT = 10.0
 """Standard deviation of the relative error of a torque constant about which nothing is known."""
 MIN_SIGNIFICANCE = 5.0
 """Standard deviations by which a contradiction to the model must differ from noise."""
-LEAST_NOISE = 0.01
-"""Least standard deviation of the torque of a joint, as a share of its root mean square: gears are no better known."""
+MIN_NOISE = 0.01
+"""Smallest standard deviation of the torque of a joint, as a share of its root mean square: no gear is known better."""
 NOISE = 0.01
 """Noise of the torque of a joint that has not moved yet, as a share of its effort limit."""
 TRIAL_SPEED, TRIAL_TIME_S = 0.2, 0.25
@@ -169,6 +169,16 @@ class _Window:
         return np.asarray(relative <= max(STANDS_OUT, float(np.quantile(relative, MIN_COUNTED))), dtype=float)
 
 
+def _squares(residual: FloatArray, products: FloatArray) -> FloatArray:
+    """Return the sums (n,) of the squares of the residuals with these coefficients (n, p + 4)."""
+    return np.asarray(np.einsum("ji,jik,jk->j", residual, products, residual))
+
+
+def _variances(residual: FloatArray, sums: _Sums, floor: FloatArray) -> FloatArray:
+    """Return the variances (n,) of the residuals with these coefficients (n, p + 4), at least `floor` (n,)."""
+    return np.asarray(np.maximum(_squares(residual, sums.products) / np.maximum(sums.counts - _OWN, 1.0), floor))
+
+
 class TorqueRegression:
     """Estimates p inertial parameters of `robot` over the last `blocks` blocks of motion, or over all if None.
 
@@ -239,8 +249,9 @@ class TorqueRegression:
         counted = np.ones(len(window.moving))
         sums = past.plus(window.sums(counted))
         torques, scales = self._torques(sums.products, sums.counts)
-        least = np.maximum(LEAST_NOISE * torques, MIN_TORQUE) ** 2
-        friction, noise, inflation = FRICTION * scales, np.maximum(torques**2, least), np.ones(joints)
+        known = np.sqrt(sums.products[:, -2, -2] / np.maximum(sums.counts, 1.0))
+        floor = np.maximum(MIN_NOISE * np.maximum(torques, known), MIN_TORQUE) ** 2
+        friction, noise, inflation = FRICTION * scales, np.maximum(torques**2, floor), np.ones(joints)
         solution, unfit = np.zeros(p + _OWN * joints), ""
         for iteration in range(_ITERATIONS):
             residual = self._residual(solution)
@@ -254,8 +265,7 @@ class TorqueRegression:
             columns = self._columns(solution)
             solution, covariance = self._solve(columns.transpose(0, 2, 1) @ weighted @ columns, scales, uncertainty)
             residual = self._residual(solution)
-            squares = np.einsum("ji,jik,jk->j", residual, sums.products, residual)
-            noise = np.maximum(squares / np.maximum(sums.counts - _OWN, 1.0), least)
+            noise = _variances(residual, sums, floor)
             # Residuals that persist over a block make the variance larger.
             persistent = np.sum(np.einsum("bji,ji->bj", sums.by_block, residual) ** 2, axis=0)
             inflation = np.maximum(1.0, persistent / (np.maximum(sums.counts, 1.0) * noise))
@@ -263,9 +273,12 @@ class TorqueRegression:
             deviations = np.sqrt(np.diag(covariance))
             friction = np.hypot(own[:, 0], deviations[p::_OWN])
             if iteration == _FREE_ITERATIONS - 1:
-                unfit, free_noise = self._unfit(own[:, 2], deviations[p + 2 :: _OWN]), noise
-        # Twice the logarithm of the ratio of likelihoods: whether the free fit is better at all.
-        if np.sum(sums.counts * np.log(noise / free_noise)) < MIN_SIGNIFICANCE**2:
+                unfit, free = self._unfit(own[:, 2], deviations[p + 2 :: _OWN]), residual
+                rows, of_standstill = sums, noise + friction**2
+        # Twice the logarithm of the ratio of likelihoods on the rows of the free fit: whether it is better at all.
+        gain = rows.counts * np.log(_variances(residual, rows, floor) / _variances(free, rows, floor))
+        gain += (_squares(residual, rows.resting) - _squares(free, rows.resting)) / of_standstill
+        if np.sum(gain) < MIN_SIGNIFICANCE**2:
             unfit = ""
         noise_of_rows = np.where(sums.counts > 0.0, noise * inflation, (NOISE * scales) ** 2)
         self._solved, self._sums = _System(weighted, columns, noise_of_rows, scales), sums

@@ -37,9 +37,9 @@ class Intervals:
         self._count, self._last_ns, self._end_ns = 0, 0, 0
 
     def wait(self, stamp_ns: int, q: FloatArray, qd: FloatArray, torque: FloatArray) -> bool:
-        """Keep the next joint state, with `q`, `qd` and `torque` (n,), if no interval ends with it; return whether.
+        """Keep the next joint state if no interval ends with it; return whether it is kept.
 
-        Together with the next ones it is cheaper.
+        `q`, `qd` and `torque` are (n,). `add` takes what is kept first: several joint states at once are cheaper.
         """
         count = self._count
         if not count and not self._end_ns:

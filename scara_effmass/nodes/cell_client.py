@@ -70,7 +70,8 @@ class CellClient(ClientNode):
         self._on_decision, self._on_validation = on_decision or (lambda _: None), on_validation
         self._joint_states = JointStateDecoder()
         stream = topics.STREAM_QOS._replace(reliable=on_decision is not None)
-        self._subscriptions: list[tuple[Subscription, Take]] = []
+        self._subscriptions: list[tuple[Subscription, Take, bool]] = []
+        """Subscriptions, what takes their messages, and whether these may be older than this client."""
         for kind, topic, qos, take in (
             (ContactStates, topics.CONTACT_STATES, stream, self._take_contact_states),
             (JointState, topics.JOINT_STATES, _LATEST, self._take_joint_state),
@@ -82,7 +83,7 @@ class CellClient(ClientNode):
             (PayloadEstimate, topics.PAYLOAD_ESTIMATE, topics.DESCRIPTION_QOS, self._take_load),
         ):
             subscription = self.node.create_subscription(kind, topic, lambda _: None, qos_profile(qos), raw=True)
-            self._subscriptions.append((subscription, take))
+            self._subscriptions.append((subscription, take, qos.latched))
 
     @property
     def connected(self) -> bool:
@@ -104,8 +105,8 @@ class CellClient(ClientNode):
         if now_ns - self._graph_ns > _GRAPH_PERIOD_NS:
             self._graph_ns = now_ns
             self._look_at_graph()
-        for subscription, take in self._subscriptions:
-            for message, at_ns in self._taken(subscription):
+        for subscription, take, is_latched in self._subscriptions:
+            for message, at_ns in self._taken(subscription, 0 if is_latched else self._polled_ns):
                 with suppress(DecodeError):  # no news, as silence
                     take(message, at_ns)
         self._polled_ns = now_ns
@@ -141,8 +142,8 @@ class CellClient(ClientNode):
             finally:
                 signal.signal(number, deferring)
 
-    def _taken(self, subscription: Subscription) -> Iterator[tuple[bytes, int]]:
-        """Yield each message that has arrived, with the time of its publication, at least that of the last poll.
+    def _taken(self, subscription: Subscription, earliest_ns: int) -> Iterator[tuple[bytes, int]]:
+        """Yield each message that has arrived, with the time of its publication, at least `earliest_ns`.
 
         So a message that waited while this process stood still is old, and a sender's clock changes little.
         """
@@ -151,7 +152,7 @@ class CellClient(ClientNode):
             while (taken := subscription.handle.take_message(subscription.msg_type, subscription.raw)) is not None:
                 message, info = taken
                 at_ns = info["source_timestamp"] + to_monotonic_ns
-                yield message, min(max(at_ns, self._polled_ns), time.monotonic_ns())
+                yield message, min(max(at_ns, earliest_ns), time.monotonic_ns())
 
     def _look_at_graph(self) -> None:
         """Look for a monitor, and take its deadline as the longest silence; of several, the shortest deadline."""

@@ -8,7 +8,6 @@ from itertools import pairwise
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from scara_effmass.cell.status import LOAD_ENTRY
 from scara_effmass.iso15066 import EDITION, TABLE_HASH
 from scara_effmass.nodes.diagnostics import status
 from scara_effmass.nodes.robot_input import label
@@ -16,6 +15,7 @@ from scara_effmass.nodes.terminal import CHANGES, REASON_CODE, REMEDY
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Cause, Monitor
 from scara_effmass.safety.assumptions import RULES, deciding_mass, name_of, scope
+from scara_effmass.safety.reasons import LOAD_ENTRY
 from scara_effmass.safety.remedies import remedy
 from scara_effmass.settings import MassModel
 from scara_effmass.values import ContactAssessment, Decision, Verdict, at_least, at_most, severity

@@ -17,8 +17,8 @@ from scara_effmass.values import FloatArray
 
 ALARM = 5.0
 """Standard deviations by which the load must be above the stated one to count as heavier."""
-LEAST_SHARE = 0.01
-"""Least share of the mass of the arm by which it must be: no model of friction and motors is better."""
+MIN_SHARE = 0.01
+"""Smallest share of the mass of the arm by which it must be: no model of friction and motors is better."""
 
 
 class Doubt(NamedTuple):
@@ -80,7 +80,7 @@ class LoadWatch:
         self.doubt = Doubt()
 
     def wait(self, stamp_ns: int, q: FloatArray, qd: FloatArray, effort: FloatArray) -> bool:
-        """Keep the next joint state (n,) for `watch` if nothing changes with it, unless `why_not`; return whether."""
+        """Keep the next joint state (n,) for `watch` if it can wait; return whether it is kept."""
         return self._intervals.wait(stamp_ns, q, qd, effort * self._constants)
 
     def watch(self, stamps: IntArray, q: FloatArray, qd: FloatArray, effort: FloatArray) -> Iterator[tuple[int, Doubt]]:
@@ -124,8 +124,8 @@ class LoadWatch:
         if self.doubt.reason:
             # The text stays the same, so that it does not change with each estimate.
             return self.doubt if lower > estimate.stated else Doubt()
-        least = LEAST_SHARE * self._dynamics.robot.moving_mass
-        if estimate.mass - estimate.stated <= max(ALARM * estimate.deviation, least):
+        smallest = MIN_SHARE * self._dynamics.robot.moving_mass
+        if estimate.mass - estimate.stated <= max(ALARM * estimate.deviation, smallest):
             return Doubt()
         text = f"the torques show a load of {_interval(estimate)}, not the stated {estimate.stated:.2f} kg"
         return Doubt(Reason.UNSTATED_LOAD if self._exceeds_margin(estimate) else Reason.HEAVIER_LOAD, text)

@@ -284,11 +284,12 @@ class Monitor:
 
     @property
     def load_text(self) -> str:
-        """The load by the torques, or why it is unknown; what would state it, while the payload is assumed."""
+        """The load by the torques, or why it is unknown; what states it, while the payload is assumed."""
         text, further = self.load_watch.text, self.load_watch.further_load
         if further is None or Assumption.PAYLOAD not in self.assumptions.assumed:
             return text
-        return f"{text}: the payload is not stated, --payload {math.ceil(100.0 * further) / 100.0:.2f} would cover it"
+        most = f"{math.ceil(100.0 * further) / 100.0:.2f} kg"
+        return f"{text}: up to {most} are not stated: state payload_mass and payload_com"
 
     @property
     def joint_map_hint(self) -> str:

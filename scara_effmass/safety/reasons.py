@@ -22,6 +22,8 @@ CRITERIA = ("", "force", "pressure")
 HELD_AFTER = "held after: "
 """Prefix of the reason of a verdict that is held from an earlier joint state."""
 LATCHED_UNTIL_RESET = "latched until reset: "
+LOAD_ENTRY = "load by the torques"
+"""Subject of the estimated load in diagnostics and summaries."""
 OTHER_JOINTS = "({v[1]:.0f} named none of the robot's joints){detail}"
 
 TEXTS = {

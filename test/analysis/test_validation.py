@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from scara_effmass.analysis.assessment import Time
-from scara_effmass.analysis.validation import Validation, ValidationSettings, validate
+from scara_effmass.analysis.validation import Validation, ValidationSettings, validate, with_motion
 from scara_effmass.bags.bag import run_infos
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
@@ -559,3 +559,41 @@ def test_undecodable_force_blocks_are_reported_as_losses(
     (recording,) = validate([path], dynamics, SETTINGS).recordings
     assert len(recording.losses) == 1
     assert "/force: left out: " in recording.losses[0]
+
+
+@pytest.mark.parametrize("time", [Time.HEADER, Time.LOG])
+def test_torques_in_motion_give_the_mass_at_the_impacts(
+    campaign: list[Path], dynamics: RobotDynamics, time: Time
+) -> None:
+    settings = replace(SETTINGS, time=time)
+    found = with_motion(validate(campaign, dynamics, settings), dynamics, settings)
+    assert found.no_motion == ""
+    for name, factor in (("full", 1.0), ("lumped", 0.964)):
+        scale = found.by_motion[name]
+        assert scale.impacts == len(found.result.impacts)
+        assert abs(scale.scale - factor) < scale.half < 0.1
+
+
+def test_without_torques_there_is_no_mass_by_motion(
+    campaign: list[Path], dynamics: RobotDynamics, tmp_path: Path
+) -> None:
+    """And joint states with effort that begin after the impact do not give its pose."""
+    validation = validate(campaign[:1], dynamics, SETTINGS)
+    (onset_ns,) = [impact.stamp_ns for impact in validation.result.impacts]
+    with open_bag(campaign[0]) as bag:
+        states = [state for block in bag.joint_state_blocks() for state in block.states()]
+    bare = [state._replace(effort=np.empty(0)) for state in states]
+    late = [
+        state if state.stamp_ns > onset_ns + 300_000_000 else without
+        for state, without in zip(states, bare, strict=True)
+    ]
+    for name, written, reason in (
+        ("bare", bare, "the joint states carry no effort"),
+        ("late", late, "no impact has joint states with effort and a contact point of known place"),
+    ):
+        path = tmp_path / f"{name}.mcap"
+        with BagWriter(path) as writer:
+            writer.write_joint_states("/joint_states", iter(written))
+        recording = replace(validation.recordings[0], path=path, joint_state_topic="/joint_states")
+        found = with_motion(validation._replace(recordings=(recording,)), dynamics, SETTINGS)
+        assert (dict(found.by_motion), found.no_motion) == ({}, reason)

@@ -14,8 +14,8 @@ from starlette.applications import Starlette
 from starlette.responses import PlainTextResponse
 from starlette.routing import Route
 
-from scara_effmass.cell.status import CellStatus
-from scara_effmass.dashboard.page import csv_of
+from scara_effmass.cell.status import CellStatus, LoadSample
+from scara_effmass.dashboard.page import csv_of, load_lines
 from scara_effmass.dashboard.server import BoundedConnection, Guard, bound_socket, is_local
 from scara_effmass.errors import SettingsError
 from scara_effmass.safety import unknown_contact
@@ -174,3 +174,13 @@ def test_spreadsheets_evaluate_no_text_of_a_message() -> None:
     client: Any = SimpleNamespace(status=status, wall_ns=lambda at_ns: at_ns)
     _, row = csv.reader(csv_of(client).splitlines())
     assert (row[0], row[4], row[5]) == ("UNKNOWN", "'=A1", "'+A2")
+
+
+def test_load_that_is_not_observable_is_a_gap() -> None:
+    status, now_ns = CellStatus(0), 100_000_000_000
+    sample = LoadSample(now_ns - 2_000_000_000, 0.5, 0.4, 0.6, 0.25, is_observable=True, text="")
+    for one in (sample._replace(at_ns=1), sample, sample._replace(at_ns=now_ns, is_observable=False)):
+        status.take_load(one)
+    load, lower, upper, stated = load_lines(status, now_ns)
+    assert load == [[-2.0, 0.5], [0.0, None]]
+    assert [line[0][1] for line in (lower, upper, stated)] == [0.4, 0.6, 0.25]

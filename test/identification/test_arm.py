@@ -121,7 +121,7 @@ def test_lumped_mass_covers_that_of_the_true_masses() -> None:
 
 
 def test_a_lumped_mass_that_would_be_negative_is_none() -> None:
-    """Torques of an arm of a tenth of its masses, little of them known."""
+    """Torques of an arm of a twentieth of its masses, in little motion."""
     robot = robot_of(SCARA)
     lumped = RobotDynamics(robot).lumped
     assert lumped is not None

@@ -66,6 +66,16 @@ def test_load_picked_up_is_found_within_ten_seconds(case: Case) -> None:
         assert 0.0 < seconds[0] < 10.0
 
 
+def test_efforts_of_zero_do_not_fit() -> None:
+    """As of simulated hardware, also where one joint alone moves."""
+    robot = robot_of(UR10)
+    for sizes in ([0.5] * 6, [0.5, *[0.0] * 5]):
+        states = harmonic(robot, pin.Inertia(0.5, np.zeros(3), np.zeros((3, 3))), sizes)
+        found = estimates(robot, states._replace(effort=0.0 * states.effort))
+        assert found
+        assert not [estimate for estimate in found if estimate.is_observable and not estimate.unfit]
+
+
 def test_impacts_are_no_load() -> None:
     """Every 3 s the arm of the simulated cell hits a cart."""
     robot = load_robot(settings=MonitorSettings(contact_points=("tool",)))

@@ -57,13 +57,18 @@ def publisher(node: Node, kind: type, topic: str, deadline_s: float = DEADLINE_S
     return node.create_publisher(kind, topic, qos_profile(qos))
 
 
-def test_load_from_before_the_client_is_shown(node: Node) -> None:
+def test_load_from_before_the_client_is_shown_with_its_age(node: Node) -> None:
     estimates = publisher(node, PayloadEstimate, topics.PAYLOAD_ESTIMATE)
-    estimates.publish(PayloadEstimate(mass=0.5, mass_lower=0.4, mass_upper=0.6, stated_mass=0.25, text="0.50 kg"))
+    numbers = {"mass": 0.5, "mass_lower": 0.4, "mass_upper": 0.6, "stated_mass": 0.25}
+    published_ns = time.monotonic_ns()
+    estimates.publish(PayloadEstimate(**numbers, is_observable=True, text="0.50 kg"))
+    time.sleep(0.5)
     with CellClient("display", NAMESPACE) as client:
         poll_until(client, lambda status: status.loads)
-        assert client.status.loads[-1][1:] == (0.5, 0.4, 0.6, 0.25, "0.50 kg")
-        assert client.status.load_text(time.monotonic_ns()).startswith("0.50 kg; ")
+        at_ns, *values = client.status.loads[-1]
+        assert values == [*numbers.values(), True, "0.50 kg"]
+        assert abs(at_ns - published_ns) < 0.4e9
+        assert client.status.load_text(at_ns + 3_000_000_000) == "0.50 kg; 3 s ago"
 
 
 def test_a_verdict_of_one_message_is_not_missed_and_silence_is_unknown(node: Node) -> None:

@@ -133,7 +133,9 @@ def test_assumed_payload_says_what_the_torques_show() -> None:
     watcher = monitor(accept_assumptions=())
     assert watcher.load_text.startswith("unknown: it needs")
     codes(watcher, motion(0.0))
-    found = re.fullmatch(r".*: the payload is not stated, --payload (0\.\d\d) would cover it", watcher.load_text)
+    found = re.fullmatch(
+        r".*: up to (0\.\d\d) kg are not stated: state payload_mass and payload_com", watcher.load_text
+    )
     assert found
     assert 0.0 < float(found[1]) < 0.3
 
