@@ -24,9 +24,9 @@ def draw_identification(found: Identification) -> Figure:
             half = Z_95 * masses.deviations[rows]
             style = {"fmt": ".", "color": color, "elinewidth": 0.5, "markersize": 3.0, "label": f"{kind} direction"}
             left.errorbar(masses.stated[rows], masses.identified[rows], half, **style)
-        largest = float(np.percentile(np.concatenate((masses.stated, masses.identified)), 98.0))
-        left.plot([0.0, largest], [0.0, largest], color=INK, linewidth=1.0, label="as by the file")
-        left.set(xlim=(0.0, largest), ylim=(0.0, 1.2 * largest))
+        ends = np.percentile(np.concatenate((masses.stated, masses.identified)), [1.0, 98.0]) * [0.8, 1.25]
+        left.plot(ends, ends, color=INK, linewidth=1.0, label="as by the file")
+        left.set(xscale="log", yscale="log", xlim=ends, ylim=ends)
         left.set(xlabel="effective mass by the file [kg]", ylabel="identified, with 95 % [kg]")
         left.legend(loc="upper left")
         places = np.arange(len(names))
@@ -34,5 +34,5 @@ def draw_identification(found: Identification) -> Figure:
         right.bar(places + 0.2, solution.residuals, 0.4, label="residual")
         right.set_xticks(places, names, rotation=30, ha="right")
         right.set(yscale="log", ylabel="root mean square [N m, N]")
-        right.legend()
+        right.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     return figure
