@@ -53,7 +53,7 @@ def test_assessing_the_advised_tour_finds_nothing_too_fast(
 def test_segment_without_a_speed_is_named_and_writes_no_motion(
     cli: Cli, refused: Refused, fast_bag: Path, tmp_path: Path
 ) -> None:
-    done = cli("advise", fast_bag, "-o", tmp_path / "out", "--person-speed", "9")
+    done = cli("advise", fast_bag, "-o", tmp_path / "out", "--person-speed", "9", "--contact-point", "tool")
     assert (done.returncode, done.stderr) == (1, "")
     assert "no speed is allowed: " in done.stdout
     assert {path.name for path in (tmp_path / "out").iterdir()} == {

@@ -90,8 +90,8 @@ def assert_equal(rows: list[dict[str, Any]], decisions: list[Decision]) -> None:
 
 @pytest.fixture(scope="module")
 def short_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A recording of 0.5 s at 500 Hz: the reference takes 10 ms for each joint state."""
-    return swing_recording(tmp_path_factory.mktemp("bags") / "short", 250)
+    """A recording of 0.2 s at 500 Hz: the reference takes 10 ms for each joint state."""
+    return swing_recording(tmp_path_factory.mktemp("bags") / "short", 100)
 
 
 def test_a_region_that_a_walking_person_leaves_no_speed_is_named(short_bag: Path, cli: Cli, tmp_path: Path) -> None:

@@ -90,9 +90,9 @@ def test_impacts_are_no_load() -> None:
 
 def test_intervals_cover_the_load() -> None:
     """And none of the robots without a load shows one."""
-    outcomes = [run(case, 10.0, seed) for case in (SCARA, UR10, PANDA) for seed in range(14)]
+    outcomes = [run(case, 10.0, seed) for case in (SCARA, UR10, PANDA) for seed in range(8)]
     errors = np.array([[abs(part.error) / part.deviation for part in pair] for pair in outcomes])
-    assert 76 <= np.sum(errors < 1.96) <= 84
+    assert 43 <= np.sum(errors < 1.96) <= 48
     assert all(np.isfinite(loaded.found_s) and np.isinf(empty.found_s) for loaded, empty in outcomes)
 
 

@@ -74,7 +74,7 @@ def assert_equal(decision: Decision, expected: Decision) -> None:
     [
         (None, {"contact_points": POINTS, "test_direction": (0.0, 1.0, 1.0)}),
         (None, {"contact_points": POINTS, "effective_mass_model": "lumped", "contact_normal": "0 1 1"}),
-        (None, {"velocity_source": "from_positions", "velocity_window": 0.05}),
+        (None, {"contact_points": POINTS, "velocity_source": "from_positions", "velocity_window": 0.05}),
         (ROBOTS / "ur5_robot.urdf", {"contact_points": ("forearm_link", "wrist_3_link")}),
         (ROBOTS / "panda.urdf", {"effective_mass_model": "full", "body_regions": ("hand_fingers", "chest")}),
     ],
