@@ -26,15 +26,14 @@ from scipy.optimize import least_squares, lsq_linear
 from scara_effmass.identification.regression import Solution, TorqueRegression, link_parameters
 from scara_effmass.model.lumping import LumpedModel
 from scara_effmass.model.robot import Robot
-from scara_effmass.values import FloatArray
+from scara_effmass.values import FloatArray, Vector3
 
 PER_LINK = 10
 """Number of inertial parameters of a link, in Pinocchio's order: m, m c, and the inertia about the joint's origin."""
-PARAMETERS = ("m", "m cx", "m cy", "m cz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 DEVIATION = 0.5
 """Relative standard deviation of the mass of a link by the file; its CoM has 0.35 of the link's radius of gyration."""
 MIN_KAPPA = 0.2
-"""Least share of its link in the standard deviation of a lumped mass, which the file may state as 0."""
+"""Smallest share of its link that counts for the standard deviation of a lumped mass: the file may state it as 0."""
 MAX_DEVIATIONS = 10.0
 """Largest difference of a link from the file, in those standard deviations, that counts as a link."""
 MIN_MASS_SHARE, MIN_RADIUS_M = 0.01, 0.01
@@ -82,8 +81,7 @@ class ArmEstimate(NamedTuple):
 
     `root` (10 n, 10 n) times its transpose is their covariance, `prior_root` likewise before anything was known.
     `is_projected`: the regression alone gave a link that no body can be. `unfit` says why the torques do not fit the
-    model, empty if they do. `determined` is the number of directions that are twice as narrow as before.
-    `point_masses` are those of the lumped model, whose bodies `robot` has then.
+    model, empty if they do. `point_masses` are those of the lumped model, whose bodies `robot` has then.
     """
 
     robot: Robot
@@ -93,7 +91,6 @@ class ArmEstimate(NamedTuple):
     prior_root: FloatArray
     solution: Solution
     base: BaseParameters
-    determined: int
     is_projected: bool
     unfit: str
     point_masses: PointMasses | None
@@ -124,17 +121,16 @@ class EffectiveMasses(NamedTuple):
 
 
 class _Prior(NamedTuple):
-    """What is estimated of `robot` and what is known before: p parameters of its links, of which `basis` (10 n, p).
+    """What is known before the torques: `basis` (10 n, p) makes the links of `robot` of p parameters.
 
-    `units` (p, p) are standard deviations of their change from the `stated` (p,), of which that at `origin` (p,) counts
-    as none. `project` returns the point nearest to a mean in these units, with links that can be, and whether it moved;
-    distances are lengths of a matrix times the difference. `moved` is the robot whose torques are compared.
+    `units` (p, p) are the standard deviations of the parameters, and `origin` (p,) those of the file in these units.
+    `project` returns the point nearest to a mean at which every link is physically possible, and whether that is
+    another one; distances are lengths of a matrix times the difference. `moved` is the robot whose torques count.
     """
 
     robot: Robot
     moved: Robot
     basis: FloatArray
-    stated: FloatArray
     units: FloatArray
     origin: FloatArray
     project: Callable[[FloatArray, FloatArray], tuple[FloatArray, bool]]
@@ -166,7 +162,7 @@ def identify_arm(
         joint = robot.joint_names[int(worst.argmax())]
         unfit = f"the link behind {joint} is {worst.max():.0f} standard deviations off the file"
     root = vectors * np.sqrt(values)
-    masses = None if lumped is None else _point_masses(lumped, prior.stated + prior.units @ change, prior.units @ root)
+    masses = None if lumped is None else _point_masses(lumped, prior.units @ inside, prior.units @ root)
     if masses is not None and not unfit and masses.on_axes.min() < 0.0:
         unfit = f"the lumped mass on axis {masses.on_axes.argmin() + 1} is {masses.on_axes.min():.3g} kg"
     stated = link_parameters(prior.robot.model)
@@ -180,7 +176,6 @@ def identify_arm(
         _base_parameters(
             robot, prior.basis, np.linalg.solve(prior.units.T, np.linalg.solve(prior.units.T, regression.gram).T)
         ),
-        int(np.sum(values < 0.25)),
         is_projected,
         unfit,
         masses,
@@ -194,19 +189,14 @@ def _bodies(robot: Robot) -> _Prior:
     units = block_diag(*(_units(factor) for factor in factors))
     # The prior's links differ from those of the file where these have no extent.
     start = stated.ravel() - np.concatenate([_parameters(factor @ factor.T) for factor in factors])
-    return _Prior(robot, robot, np.eye(stated.size), stated.ravel(), units, np.linalg.solve(units, start), _project)
+    return _Prior(robot, robot, np.eye(stated.size), units, np.linalg.solve(units, start), _project)
 
 
 def _two_masses_each(robot: Robot, lumped: LumpedModel) -> _Prior:
     """Return the point masses of the links, at their places."""
     without = lumped.model.copy()
     without.armature = robot.model.armature
-    columns = [
-        pin.Inertia(1.0, np.array(point), np.zeros((3, 3))).toDynamicParameters()[:, None]
-        for link in lumped.links
-        for point in (link.point1, link.point2)
-    ]
-    pairs = [np.hstack(columns[index : index + 2]) for index in range(0, len(columns), 2)]
+    pairs = [np.column_stack([_unit_mass(link.point1), _unit_mass(link.point2)]) for link in lumped.links]
     stated = _stated_masses(lumped)
     links = stated.sum(axis=1, keepdims=True)
     links = np.maximum(links, MIN_MASS_SHARE * links.mean())
@@ -224,11 +214,15 @@ def _two_masses_each(robot: Robot, lumped: LumpedModel) -> _Prior:
         replace(robot, model=lumped.model),
         replace(robot, model=without),
         block_diag(*pairs),
-        stated.ravel(),
         np.diag(deviations),
         start,
         project,
     )
+
+
+def _unit_mass(point: Vector3) -> FloatArray:
+    """Return the parameters (10,) of 1 kg at `point`."""
+    return np.asarray(pin.Inertia(1.0, np.array(point), np.zeros((3, 3))).toDynamicParameters())
 
 
 def _stated_masses(lumped: LumpedModel) -> FloatArray:

@@ -42,6 +42,7 @@ from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Assessments, Cause, Monitor, unknown_assessments
 from scara_effmass.safety.assumptions import RULES, deciding_mass, name_of
 from scara_effmass.safety.load_watch import Doubt
+from scara_effmass.safety.reasons import LOAD_ENTRY
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.settings.loading import fixed
 from scara_effmass.values import Decision, Payload
@@ -290,7 +291,7 @@ class MonitorNode(LifecycleBase):
         watch = monitor.load_watch
         if watch.doubt != self._load_doubt:
             self._load_doubt = watch.doubt
-            self.get_logger().warning(watch.doubt.text or f"load by the torques: {monitor.load_text}")
+            self.get_logger().warning(watch.doubt.text or f"{LOAD_ENTRY}: {monitor.load_text}")
         if watch.estimate is self._load_estimate or watch.estimate is None:
             return
         self._load_estimate = watch.estimate

@@ -79,7 +79,7 @@ QUINTIC_PEAK = 1.875
 
 
 ControlPeriod = tuple[FloatArray, FloatArray, FloatArray, list[ContactSample]]
-"""Joint positions and the controller's velocity estimates (n,) at its start, before rounding to counts; the contact."""
+"""Joint positions, the controller's velocity estimates and torques (n,) at its start, before rounding; the contact."""
 
 
 @final
