@@ -6,8 +6,7 @@ The log time of a message is its receive time on the node's clock: system time, 
 
 import math
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -85,17 +84,26 @@ def record(
     neither threads nor signals can complete the bag. Raises SettingsError or OutputError.
     """
     known_types()  # slow on the first call: before messages arrive
-    with ClientNode("recorder", arguments=ros_arguments) as client:
+    rest = f"what it has saved is complete after: record --repair {folder}"
+    line = f"{folder}: the recorder has stood still for {hang_timeout_s:g} s and is killed; {rest}"
+    # The guard comes last: ROS may hang as well while it ends.
+    with HangGuard(hang_timeout_s, line) as guard, ClientNode("recorder", arguments=ros_arguments) as client:
         node, context = client.node, client.context
         parameters.declare(node, FrozenSettings)  # only the parameters of every node
         names = [resolve_topic(node, topic) for topic in topics]
         parents = [resolve_topic(node, topic) for topic in FORCE_OUTPUTS if topics is RECORDED]
-        with _guarded_recorder(folder, options, overwrite, warn, hang_timeout_s) as (recorder, tick):
+        seconds = 0.0
+        start = last_tick_s = time.monotonic()
+
+        def beat() -> None:  # in the writing thread: it and the executor must go on; what is closed is only written
+            if time.monotonic() - last_tick_s < hang_timeout_s or not recorder.is_running:
+                guard.beat()
+
+        recorder = BagRecorder(folder, options, overwrite=overwrite, warn=warn, progress=beat)
+        with recorder:
             topic_recorder = TopicRecorder(node, recorder, names, warn, parents, recorder.count_lost_by_middleware)
-            start = time.monotonic()
-            seconds = 0.0
             while not client.signals and context.ok() and recorder.is_running and seconds < duration_s:
-                tick()
+                last_tick_s = time.monotonic()
                 topic_recorder.discover()
                 client.spin_for(min(duration_s - seconds, _PERIOD_S))
                 seconds = time.monotonic() - start
@@ -114,36 +122,6 @@ def record(
             refused=topic_recorder.refused,
             unpublished=tuple(sorted(set(names) - set(topic_recorder.recorded) - topic_recorder.refused.keys())),
         )
-
-
-@contextmanager
-def _guarded_recorder(
-    folder: Path,
-    options: RecorderOptions | None,
-    overwrite: bool,  # noqa: FBT001
-    warn: Callable[[str], None],
-    timeout_s: float,
-) -> Iterator[tuple[BagRecorder, Callable[[], None]]]:
-    """Give a recorder, and a function to call while the executor works.
-
-    The process is killed if the writing thread or the executor stands still for `timeout_s`.
-    """
-    last_tick_s = time.monotonic()
-
-    def tick() -> None:
-        nonlocal last_tick_s
-        last_tick_s = time.monotonic()
-
-    def beat() -> None:
-        if time.monotonic() - last_tick_s < timeout_s or not recorder.is_running:  # a closed one is only written
-            guard.beat()
-
-    rest = f"what it has saved is complete after: record --repair {folder}"
-    line = f"{folder}: the recorder has stood still for {timeout_s:g} s and is killed; {rest}"
-    guard = HangGuard(timeout_s, line)
-    recorder = BagRecorder(folder, options, overwrite=overwrite, warn=warn, progress=beat)  # may refuse the folder
-    with guard, recorder:
-        yield recorder, tick
 
 
 def resolve_topic(node: Node, topic: str) -> str:

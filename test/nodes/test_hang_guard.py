@@ -53,13 +53,17 @@ def test_a_stop_is_no_hang_and_the_end_leaves_nothing() -> None:
 RECORD = """
 import ctypes, sys, time
 from pathlib import Path
+from rclpy.context import Context
 from scara_effmass.nodes.record import record
-hang = {"lock": ctypes.PyDLL(None).sleep, "executor": time.sleep}[sys.argv[2]]
+hang = {"lock": ctypes.PyDLL(None).sleep, "executor": time.sleep, "end of ROS": time.sleep}[sys.argv[2]]
+if sys.argv[2] == "end of ROS":
+    Context.try_shutdown = lambda *_: hang(60)
+    record(Path(sys.argv[1]), hang_timeout_s=2.0, duration_s=0.5)
 record(Path(sys.argv[1]), hang_timeout_s=2.0, progress=lambda *_: hang(60))
 """
 
 
-@pytest.mark.parametrize("hang", ["lock", "executor"])
+@pytest.mark.parametrize("hang", ["lock", "executor", "end of ROS"])
 @pytest.mark.usefixtures("own_domain")
 def test_a_recorder_that_stands_still_is_ended_and_named(tmp_path: Path, hang: str) -> None:
     bag = tmp_path / "run"
