@@ -21,10 +21,11 @@ from scara_effmass.identification.arm import (
     effective_mass,
     effective_masses,
     identify_arm,
+    modelled_torques,
     with_parameters,
 )
 from scara_effmass.identification.regression import Z_95
-from scara_effmass.kernel.intervals import Intervals
+from scara_effmass.kernel.intervals import TORQUE, Intervals
 from scara_effmass.model.load import load_robot
 from scara_effmass.model.robot import Robot
 from scara_effmass.reference import RobotDynamics
@@ -35,6 +36,8 @@ from scara_effmass.wire.cdr import NS
 
 CONFIGURATIONS = 200
 """Number of configurations over the workspace at which effective masses are compared."""
+LATEST = 1_000
+"""Number of intervals, 20 s at 100 Hz, whose torques are drawn."""
 MAX_CONDITION = 100.0
 """Condition number from which on the motion is called poor."""
 
@@ -42,8 +45,19 @@ HEADINGS = ("link behind", "file [kg]", "identified [kg]", "f_c", "f_v", "effort
 """Masses, friction [N m, N; per rad/s or m/s], error of the effort, root mean squares in motion [N m, N]."""
 
 
+class Torques(NamedTuple):
+    """Torques (k, n) [N m, N] at the end of a recording: measured, and by what was identified, NaN without motion.
+
+    `seconds` (k,) [s] are before the end.
+    """
+
+    seconds: FloatArray
+    measured: FloatArray
+    modelled: FloatArray
+
+
 class Identification(NamedTuple):
-    """The masses of `robot` by the recording at `path`, from `used` joint states with effort of `count`."""
+    """The masses of `robot` by the recording at `path`, from `used` joint states with effort of `total`."""
 
     path: Path
     robot: Robot
@@ -51,6 +65,7 @@ class Identification(NamedTuple):
     total: int
     estimate: ArmEstimate
     masses: EffectiveMasses
+    torques: Torques
 
     @property
     def ratios(self) -> FloatArray:
@@ -205,17 +220,21 @@ def identify(path: Path, settings: MonitorSettings, topic: str | None = None) ->
     if estimate is None:
         raise BagError(f"{path}: no joint moves for long enough: must hold motion of the arm")
     masses = effective_masses(estimate, CONFIGURATIONS)
-    return Identification(path, robot, motion.used, motion.total, estimate, masses)
+    stamps, latest = (np.array(values) for values in zip(*motion.latest, strict=True))
+    seconds = (stamps - stamps[-1]) / NS
+    torques = Torques(seconds, latest[:, TORQUE], modelled_torques(robot, estimate, latest))
+    return Identification(path, robot, motion.used, motion.total, estimate, masses, torques)
 
 
 class _Motion:
-    """Reads motion with effort of `robot`; counts joint states, and those `used`."""
+    """Reads motion with effort of `robot`; counts joint states, and those `used`, and keeps the `latest` intervals."""
 
     def __init__(self, robot: Robot, settings: MonitorSettings) -> None:
         self._robot, self._settings = robot, settings
         self._adapter = JointStateAdapter(robot.joint_names, settings, robot.periods, robot.held)
         self.used = self.total = 0
         self.has_torque = False
+        self.latest = deque[tuple[int, FloatArray]](maxlen=LATEST)
 
     def means(
         self,
@@ -250,7 +269,9 @@ class _Motion:
                     row = int(np.searchsorted(stamps, stamp_ns := waiting.popleft()))
                     if stamps[row] - stamp_ns <= timeout_ns:
                         poses[stamp_ns] = q[row]
-                yield from intervals.add(stamps, q, qd, effort * robot.torque_constants)[1]
+                ends, means = intervals.add(stamps, q, qd, effort * robot.torque_constants)
+                self.latest.extend(zip(stamps[ends].tolist(), means, strict=True))
+                yield from means
 
 
 class ScaleByMotion(NamedTuple):

@@ -23,7 +23,8 @@ import pinocchio as pin
 from scipy.linalg import block_diag, qr
 from scipy.optimize import least_squares, lsq_linear
 
-from scara_effmass.identification.regression import Solution, TorqueRegression, link_parameters
+from scara_effmass.identification.regression import Solution, TorqueRegression, link_parameters, rest_speeds
+from scara_effmass.kernel.intervals import HIGHEST, LOWEST, QD, QDD, Q
 from scara_effmass.model.lumping import LumpedModel
 from scara_effmass.model.robot import Robot
 from scara_effmass.values import FloatArray, Vector3
@@ -252,6 +253,21 @@ def with_parameters(model: pin.Model, parameters: FloatArray) -> pin.Model:
     for joint, values in enumerate(parameters, start=1):
         changed.inertias[joint] = pin.Inertia.FromDynamicParameters(values)
     return changed
+
+
+def modelled_torques(robot: Robot, estimate: ArmEstimate, means: FloatArray) -> FloatArray:
+    """Return the torques (k, n) [N m, N] by the estimate in intervals of `means` (k, 6, n), with friction and e_j.
+
+    NaN where a joint does not move one way: its friction is not known.
+    """
+    model, solution = with_parameters(robot.model, estimate.parameters), estimate.solution
+    data, coupling = model.createData(), robot.rotors.coupling
+    rigid = [pin.rnea(model, data, *row) + coupling @ row[QDD] for row in means[:, [Q, QD, QDD]]]
+    coulomb, viscous = solution.friction.T
+    qd = means[:, QD]
+    torques = (1.0 + solution.scale_errors) * np.array(rigid) + coulomb * np.sign(qd) + viscous * qd
+    is_one_way = (means[:, LOWEST] > rest_speeds(robot)) | (means[:, HIGHEST] < -rest_speeds(robot))
+    return np.where(is_one_way, torques, np.nan)
 
 
 def effective_mass(

@@ -70,6 +70,11 @@ def link_parameters(model: pin.Model) -> FloatArray:
     return np.array([inertia.toDynamicParameters() for inertia in list(model.inertias)[1:]])
 
 
+def rest_speeds(robot: Robot) -> FloatArray:
+    """Return the speeds (n,) [rad/s, m/s] below which the joints of `robot` may rest."""
+    return REST_SPEED * np.where(robot.revolute, 1.0, METRES_PER_RADIAN)
+
+
 class Solution(NamedTuple):
     """What the torques say. `parameters` (p,) and their `covariance` (p, p) are in units of the prior.
 
@@ -191,7 +196,7 @@ class TorqueRegression:
     ) -> None:
         self._robot, self._data, self._units = robot, robot.model.createData(), units
         self._joints, self._parameters = robot.model.nv, units.shape[1]
-        self._rest_speeds = REST_SPEED * np.where(robot.revolute, 1.0, METRES_PER_RADIAN)
+        self._rest_speeds = rest_speeds(robot)
         self._effort_uncertainty = effort_uncertainty
         self._limits = robot.effort_limits
         self._size = self._parameters + _OWN + 1

@@ -21,7 +21,7 @@ from scara_effmass.identification.regression import Z_95, link_parameters
 from scara_effmass.kernel.intervals import Intervals
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import MonitorSettings
-from scara_effmass.studies.load import CASES, Case, robot_of, simulated
+from scara_effmass.studies.load import CASES, EFFORT_UNCERTAINTY, Case, robot_of, simulated
 
 SECONDS = 40.0
 CONFIGURATIONS = 50
@@ -55,7 +55,7 @@ def run(case: Case, is_lumped: bool, seed: int) -> Outcome:  # noqa: FBT001 - of
         model.inertias[joint] = pin.Inertia(factor * stated.mass, com, factor * stated.inertia)
     states = simulated(replace(robot, model=model), case, 0.0, SECONDS, rng)
     _, means = Intervals(robot.periods, MonitorSettings().timeout).add(*states)
-    found = identify_arm(robot, means, MonitorSettings().effort_uncertainty, lumped)
+    found = identify_arm(robot, means, EFFORT_UNCERTAINTY, lumped)
     if found is None:
         raise RuntimeError("the simulated robot does not move")
     masses = effective_masses(found, CONFIGURATIONS)

@@ -5,7 +5,8 @@
 
 Joint states are simulated, at 100 Hz: point-to-point motion with pauses, torques by Pinocchio, friction of each joint
 (Coulomb 1 to 4 %, viscous up to 2 % of its effort limit), errors of 1 to 4 % of each torque constant, noise of 0.5 %
-and steps of 0.1 % of the effort limit, errors of 1 mrad/s of the velocities. The shipped SCARA states no effort limits:
+and steps of 0.1 % of the effort limit, errors of 1 mrad/s of the velocities. The estimate knows the standard deviation
+of the torque constants, 2.6 %. The shipped SCARA states no effort limits:
 here they are 60, 30, 100 (N) and 5.
 """
 
@@ -33,6 +34,10 @@ SCARA_EFFORTS = (60.0, 30.0, 100.0, 5.0)
 """Effort limits of the i4-550L in the simulation [N m, N], which its file does not state."""
 MAX_ACCELERATION = 20.0
 """Largest acceleration of a joint [rad/s2; a quarter of it in m/s2]."""
+CONSTANT_ERRORS = (0.01, 0.04)
+"""Least and largest relative error of a torque constant, of either sign."""
+EFFORT_UNCERTAINTY = float(np.sqrt(np.mean(np.linspace(*CONSTANT_ERRORS, 10_001) ** 2)))
+"""Standard deviation of these errors: what the estimate is told as `effort_uncertainty`."""
 PAUSE_S = 0.3
 RANGE_RAD = 2.0
 """Largest joint angle; a prismatic joint moves over its whole range."""
@@ -116,7 +121,7 @@ def simulated(robot: Robot, case: Case, load: float, seconds: float, rng: np.ran
     held = rng.uniform(-1.0, 1.0, len(limits)) * coulomb
     moving = coulomb * np.sign(qd) * (1.0 + case.stribeck * (np.abs(qd) < 0.1)) + viscous * qd / _speeds(robot)
     torque += np.where(np.abs(qd) > 1e-3, moving, held)
-    torque *= 1.0 + rng.uniform(0.01, 0.04, len(limits)) * rng.choice((-1.0, 1.0), len(limits))
+    torque *= 1.0 + rng.uniform(*CONSTANT_ERRORS, len(limits)) * rng.choice((-1.0, 1.0), len(limits))
     torque += rng.normal(0.0, 0.005, torque.shape) * limits
     step = 1e-3 * limits
     stamps = 1_000_000_000 + np.round(1e9 * t).astype(np.int64)
@@ -157,7 +162,7 @@ def estimated(robot: Robot, states: States, load: float, link_uncertainty: float
     """Estimate the load of simulated joint states that state none."""
     estimator = PayloadEstimator(
         robot,
-        effort_uncertainty=MonitorSettings().effort_uncertainty,
+        effort_uncertainty=EFFORT_UNCERTAINTY,
         mass_uncertainty=MonitorSettings().mass_uncertainty,
         stated=0.0,
         link_uncertainty=link_uncertainty,

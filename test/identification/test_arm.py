@@ -13,10 +13,11 @@ from scara_effmass.identification.arm import (
     effective_mass,
     effective_masses,
     identify_arm,
+    modelled_torques,
     with_parameters,
 )
-from scara_effmass.identification.regression import link_parameters
-from scara_effmass.kernel.intervals import Intervals
+from scara_effmass.identification.regression import link_parameters, rest_speeds
+from scara_effmass.kernel.intervals import HIGHEST, LOWEST, TORQUE, Intervals
 from scara_effmass.model.robot import Robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.studies.load import CASES, Case, States, robot_of, simulated
@@ -56,6 +57,21 @@ def test_effective_mass_is_that_of_the_true_arm(case: Case, factors: tuple[float
     assert covered.mean() > 0.9
     assert np.median(np.abs(masses.identified / true - 1.0)) < 0.5 * np.median(np.abs(masses.stated / true - 1.0))
     assert (masses.deviations < masses.prior_deviations).all()
+
+
+@pytest.mark.parametrize("is_lumped", [False, True])
+def test_modelled_torques_are_the_measured_ones_up_to_the_residual(is_lumped: bool) -> None:  # noqa: FBT001
+    robot = robot_of(SCARA)
+    lumped = RobotDynamics(robot).lumped if is_lumped else None
+    _, means = Intervals(robot.periods, 0.1).add(*simulated(robot, SCARA, 0.0, 20.0, np.random.default_rng(5)))
+    found = identify_arm(robot, means, 0.03, lumped)
+    assert found is not None
+    torques = modelled_torques(robot, found, means)
+    rms = np.sqrt(np.nanmean((means[:, TORQUE] - torques) ** 2, axis=0))
+    assert (rms < 2.5 * found.solution.residuals).all()  # which are those of means of four intervals
+    at_rest = np.maximum(abs(means[:, LOWEST]), abs(means[:, HIGHEST])) < rest_speeds(robot)
+    assert np.isnan(torques[at_rest]).all()
+    assert 0.5 < np.isfinite(torques).mean() < 1.0
 
 
 def test_every_link_is_a_body() -> None:
