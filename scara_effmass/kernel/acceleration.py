@@ -10,11 +10,11 @@ from scara_effmass.kernel.codes import Model, Normal
 from scara_effmass.kernel.contact_point import Approach
 from scara_effmass.kernel.jit import inlined
 from scara_effmass.kernel.mobility import inverse, trace
-from scara_effmass.kernel.pose_change import assign, matrix_of, solve_mobility
+from scara_effmass.kernel.pose_change import assign, matrix_of
 from scara_effmass.kernel.records import MIN_NORMAL_COMPONENT, Case, Mobility, Setup, Work
-from scara_effmass.kernel.spatial import dot, norm, scale, sub, vector
+from scara_effmass.kernel.spatial import dot, norm, scale, sub, symmetric_product, vector
 from scara_effmass.reference.mobility import REACH_TOLERANCE
-from scara_effmass.values import ZERO_VECTOR, Vector3
+from scara_effmass.values import ZERO_VECTOR, Mobility6, Vector3
 
 
 @inlined
@@ -54,12 +54,6 @@ def set_normal_acceleration(approach: Approach, setup: Setup, out: Mobility) -> 
 
 
 @inlined
-def solve(m: Mobility, alpha: float, beta: float, n: Vector3) -> Vector3:
-    """Return (alpha / beta 1 + A)^-1 n, and n for a beta of 0."""
-    return solve_mobility(m, alpha / beta, n) if beta > 0.0 else n
-
-
-@inlined
 def least_mobility(m: Mobility) -> float:
     """Return the smallest eigenvalue [1/kg] for errors of accelerations."""
     return max(REACH_TOLERANCE * trace(matrix_of(m)), inverse(m.heaviest))
@@ -83,34 +77,44 @@ def lasting_time(time: float, speed: float, rate: float) -> float:
 
 
 @inlined
-def gain(m: Mobility, mass_factor: float, mu: float, alpha: float, beta: float, time: float) -> float:
-    """Return by how much [m/s] the speed counts as higher, because the point accelerates for `time` [s]."""
-    if m.is_scalar:
-        return time * (max(0.0, m.speed_rate) + m.error)
+def rates_along(m: Mobility, k: Mobility6) -> tuple[float, float]:
+    """Return the accelerations [m/s2] along and across the worst contact normal of the mass matrix `k`."""
     n, shown = vector(m.direction), vector(m.shown)
-    x = solve(m, mass_factor * alpha, beta, n)
+    x = symmetric_product(k, n)
     total = dot(n, x)
     if not 0.0 < total < math.inf:
-        return 0.0
+        return 0.0, 0.0
     rest = sub(shown, scale(dot(x, shown) / total, n))
-    across = math.sqrt(max(0.0, dot(rest, solve(m, mass_factor * alpha, beta, rest)) / total))
-    rate = along(m, x) / total
+    across = math.sqrt(max(0.0, dot(rest, symmetric_product(k, rest)) / total))
+    return along(m, x) / total, across
+
+
+@inlined
+def gain(m: Mobility, rate: float, across: float, root: float, mu: float, time: float) -> float:
+    """Return by how much [m/s] the speed counts as higher, because the point accelerates for `time` [s].
+
+    `rate` and `across` are those of `rates_along`, and `root` of `error_root`.
+    """
+    if m.is_scalar:
+        return time * (max(0.0, m.speed_rate) + m.error)
     lasting = lasting_time(time, m.speed, rate)
     faster = math.hypot(m.speed + lasting * rate, lasting * across) - m.speed
-    added: float = max(0.0, faster) + time * error_root(m, mass_factor, alpha, beta) / math.sqrt(mu)
+    added: float = max(0.0, faster) + time * root / math.sqrt(mu)
     return added
 
 
 @inlined
-def max_rate(m: Mobility, alpha: float) -> float:
-    """Return a bound [m/s2] of the gain per time for every alpha / beta of at least `alpha` [1/kg]."""
+def max_rate(m: Mobility, x: Vector3, alpha: float) -> float:
+    """Return a bound [m/s2] of the gain per time for every alpha / beta of at least `alpha` [1/kg].
+
+    `x` is its mass matrix times n.
+    """
     if m.is_scalar:
         return max(0.0, m.speed_rate) + m.error
     rate = norm(vector(m.shown)) + m.error
     if not rate > 0.0:
         return 0.0
-    n, heaviest = vector(m.direction), inverse(alpha + least_mobility(m))
-    total = dot(n, solve_mobility(m, alpha, n))
+    heaviest, total = inverse(alpha + least_mobility(m)), dot(vector(m.direction), x)
     return rate * math.sqrt(heaviest / total) if 0.0 < total < math.inf else math.inf
 
 

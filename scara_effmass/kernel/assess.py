@@ -58,7 +58,7 @@ from scara_effmass.kernel.records import (
     Work,
 )
 from scara_effmass.kernel.spatial import dot, matrix_at, rotate_back, sub, vector, vector_at
-from scara_effmass.kernel.speed_limit import Bound, Drives, governing_case, governing_person_case
+from scara_effmass.kernel.speed_limit import Bound, Drives, governing_case, governing_person_case, likely_case
 from scara_effmass.kernel.state import STATE, VALUES
 from scara_effmass.kernel.static_force import clamping_force, holding_force
 from scara_effmass.values import NO_MOBILITY, ZERO_VECTOR, FloatArray, Mobility6, Vector3, Verdict
@@ -203,15 +203,16 @@ def fill_limits(
         acceleration, min_mobility = drive_acceleration(approach.joints, setup, work), 1.0 / worst
     if setup.joints_are_coupled:
         max_force = holding_force(approach, cases, work.mobilities[:models], setup, work)
+    start = likely_case(cases, worst)
     if setup.counts_person:
         fill_principals(models - 1 if choice.takes.iso else -1, count, approach, setup, work)
         has_push = setup.is_servo and approach.rank == 3  # where the point does not move, drives have no least mobility
         drives = Drives(acceleration, min_mobility, max_force, has_push)
         person = person_of(approach, setup)
-        governing, bound = governing_person_case(cases, work.mobilities[:count], drives, setup, work, person)
+        governing, bound = governing_person_case(cases, start, work.mobilities[:count], drives, setup, work, person)
     else:
         drives = Drives(acceleration, min_mobility, max_force, setup.is_servo)
-        governing, bound = governing_case(cases, work.mobilities[:count], drives, setup, work)
+        governing, bound = governing_case(cases, start, work.mobilities[:count], drives, setup, work)
     case = cases[governing]
     mu = mass if case.body_mass == math.inf else 1.0 / (1.0 / mass + 1.0 / case.body_mass)
     worst_mu = 0.0

@@ -107,7 +107,6 @@ class ContactKernel:
             warn_ratio=settings.warn_ratio,
             external_force=settings.external_force_limit or math.inf,
             min_alpha=min((alpha / beta for case in cases for alpha, beta in case.lines if beta), default=0.0),
-            min_stiffness=min(case.stiffness for case in cases),
             gravity=model.gravity.linear,
         )
 

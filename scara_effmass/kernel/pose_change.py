@@ -15,6 +15,7 @@ from scara_effmass.kernel.spatial import (
     norm,
     rotate,
     scale,
+    scale_symmetric,
     set_matrix,
     symmetric_product,
     vector,
@@ -73,12 +74,18 @@ def turn_change(
 
 
 @inlined
-def solve_mobility(change: Mobility, s: float, n: Vector3) -> Vector3:
-    """Return (s 1 + A)^-1 n [kg], with the adjugate in as many dimensions as the point moves in."""
+def mass_matrix(change: Mobility, alpha: float, beta: float) -> Mobility6:
+    """Return K = (alpha / beta 1 + A)^-1 [kg], of the adjugate in as many dimensions as the point moves in.
+
+    For a beta of 0 it is 1.
+    """
+    if beta <= 0.0:
+        return 1.0, 0.0, 0.0, 1.0, 0.0, 1.0
     m = matrix_of(change)
-    s = max(s, CLAMPED_TOLERANCE * trace(m))
+    s = max(alpha / beta, CLAMPED_TOLERANCE * trace(m))
     if change.change_rank == 1:
-        return scale(inverse(s + trace(m)), n)
+        mass = inverse(s + trace(m))
+        return mass, 0.0, 0.0, mass, 0.0, mass
     if change.change_rank == 2:
         of_plane = m[3] + m[5], -m[1], -m[2], m[0] + m[5], -m[4], m[0] + m[3]
         numerator, denominator = shifted(of_plane, s), trace(adjugate(m)) + s * (s + trace(m))
@@ -86,22 +93,18 @@ def solve_mobility(change: Mobility, s: float, n: Vector3) -> Vector3:
         m = shifted(m, s)
         numerator = adjugate(m)
         denominator = determinant(m, numerator)
-    if denominator <= 0.0:
-        return math.inf, math.inf, math.inf
-    x, y, z = symmetric_product(numerator, n)
-    return x / denominator, y / denominator, z / denominator
+    return scale_symmetric(inverse(denominator), numerator)
 
 
 @inlined
-def growth(change: Mobility, alpha: float, beta: float) -> float:
-    """Return d/dt ln(v^T (alpha 1 + beta A)^-1 v) [1/s], without what lessens it."""
+def growth(change: Mobility, k: Mobility6, beta: float) -> float:
+    """Return d/dt ln(v^T (alpha 1 + beta A)^-1 v) [1/s] of the mass matrix `k`, without what lessens it."""
     n = vector(change.direction)
-    x, total, energy_rate = n, 1.0, 0.0
+    x, energy_rate = symmetric_product(k, n), 0.0
+    total = dot(n, x)
+    if not 0.0 < total < math.inf:
+        return math.inf
     if beta > 0.0:
-        x = solve_mobility(change, alpha / beta, n)
-        total = dot(n, x)
-        if not 0.0 < total < math.inf:
-            return math.inf
         powers = vector_at(change.powers, 0), vector_at(change.powers, 1), vector_at(change.powers, 2)
         energy_rate = dot(x, rotate(powers, x))
     free, held = dot(x, vector(change.free)), dot(x, vector(change.held))
@@ -113,9 +116,8 @@ def growth(change: Mobility, alpha: float, beta: float) -> float:
 
 
 @inlined
-def max_growth(change: Mobility, alpha: float) -> float:
-    """Return a bound [1/s] of `growth` for every alpha / beta of at least `alpha` [1/kg]."""
-    x = solve_mobility(change, alpha, vector(change.direction))
+def max_growth(change: Mobility, x: Vector3) -> float:
+    """Return a bound [1/s] of `growth` for every alpha / beta of at least that of `x`, its mass matrix times n."""
     total = dot(vector(change.direction), x)
     if not 0.0 < total < math.inf:
         return math.inf

@@ -131,7 +131,6 @@ class Setup:
     warn_ratio: float
     external_force: float
     min_alpha: float
-    min_stiffness: float
     gravity: Vector
 
 
@@ -261,7 +260,6 @@ class Work:
     mobilities: Annotated[Any, (MAX_MOBILITIES,), Mobility]
     principals: Annotated[Any, (MAX_MOBILITIES,), Principal]
     least_mobilities: Annotated[FloatArray, (MAX_MOBILITIES,)]
-    times: Annotated[FloatArray, (MAX_MOBILITIES,)]
     growths: Annotated[FloatArray, (MAX_MOBILITIES,)]
     accelerations: Annotated[FloatArray, (MAX_MOBILITIES,)]
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from scara_effmass.iso15066.drives import MAX_MOBILITY
-from scara_effmass.kernel.acceleration import acceleration_time, gain, max_rate
+from scara_effmass.kernel.acceleration import acceleration_time, error_root, gain, max_rate, rates_along
 from scara_effmass.kernel.hull import person_ratio, worst_reduced_mass
 from scara_effmass.kernel.jit import inlined
 from scara_effmass.kernel.mobility import inverse, point_reduced_mass
@@ -21,9 +21,11 @@ from scara_effmass.kernel.person import (
     person_mass,
     present_root,
 )
-from scara_effmass.kernel.pose_change import contact_time, growth, max_growth
+from scara_effmass.kernel.pose_change import contact_time, growth, mass_matrix, max_growth
 from scara_effmass.kernel.records import HULL_KNOWN, HULL_NONE, Case, Mobility, Principal, Setup, Work
+from scara_effmass.kernel.spatial import symmetric_product, vector
 from scara_effmass.reference import speed_limit as reference
+from scara_effmass.values import ZERO_VECTOR
 
 
 class Bound(NamedTuple):
@@ -70,22 +72,45 @@ def slower(first: Bound, other: Bound) -> Bound:
     return with_speed(first, min(first.speed, other.speed))
 
 
+class Rates(NamedTuple):
+    """How fast force and speed grow during a contact: `growth` [1/s] of the energy, accelerations [m/s2] of the point.
+
+    `root` is `error_root`. All are 0 where they do not count.
+    """
+
+    growth: float
+    along: float
+    across: float
+    root: float
+
+
 @inlined
-def lasting_growth(case: Case, m: Mobility, mass_factor: float, line: tuple[float, float], mu: float) -> float:
+def rates_of(m: Mobility, mass_factor: float, line: tuple[float, float], accelerates: bool) -> Rates:  # noqa: FBT001 - compiled
+    """Return the rates of a contact by one line of the drives."""
+    growing = rate = across = root = 0.0
+    if m.change_rank > 0:
+        k = mass_matrix(m, mass_factor * line[0], line[1])
+        growing = growth(m, k, line[1])
+        if accelerates and not m.is_scalar:
+            rate, across = rates_along(m, k)
+            root = error_root(m, mass_factor, line[0], line[1])
+    return Rates(growing, rate, across, root)
+
+
+@inlined
+def lasting_growth(case: Case, m: Mobility, rates: Rates, mu: float) -> float:
     """Return the growth [s/m] of the energy until the peak of a contact with the reduced mass `mu`."""
     if m.change_rank == 0:
         return 0.0
     time = case.drive_time if case.drive_time > 0.0 else contact_time(mu, case.stiffness)
-    return 0.5 * time * growth(m, mass_factor * line[0], line[1]) / m.speed
+    return 0.5 * time * rates.growth / m.speed
 
 
 @inlined
-def speed_gain(
-    case: Case, m: Mobility, mass_factor: float, line: tuple[float, float], at_point: float, mu: float
-) -> float:
+def speed_gain(case: Case, m: Mobility, rates: Rates, at_point: float, mu: float) -> float:
     """Return the gain of speed [m/s] until the peak of a contact with the mass `mu`, `at_point` that of a point."""
     time = case.drive_time if case.drive_time > 0.0 else contact_time(mu, case.stiffness)
-    return gain(m, mass_factor, at_point, line[0], line[1], acceleration_time(case, time))
+    return gain(m, rates.along, rates.across, rates.root, at_point, acceleration_time(case, time))
 
 
 @inlined
@@ -104,21 +129,22 @@ def bound_of(
     Of a link, it bounds nothing if it allows the speed `least` [m/s] anyway.
     """
     growing, gained, mu = 0.0, 0.0, at_point
+    rates = rates_of(m, mass_factor, line, accelerates)
     if m.hull != HULL_NONE and mu < math.inf:
         enough = 0.0
         if 0.0 < least < math.inf:
             most = 1.0 / (rate * least * least)
-            faster = least * (1.0 + lasting_growth(case, m, mass_factor, line, most) * least)
+            faster = least * (1.0 + lasting_growth(case, m, rates, most) * least)
             if accelerates:
-                faster += speed_gain(case, m, mass_factor, line, at_point, most)
+                faster += speed_gain(case, m, rates, at_point, most)
             enough = 1.0 / (rate * faster * faster)
         mu = mass_factor * worst_reduced_mass(m, mass_factor * line[0], line[1], enough / mass_factor)
         if mu <= enough:
             return NO_BOUND
     if mu < math.inf:
         if accelerates:
-            gained = speed_gain(case, m, mass_factor, line, at_point, mu)
-        growing = lasting_growth(case, m, mass_factor, line, mu)
+            gained = speed_gain(case, m, rates, at_point, mu)
+        growing = lasting_growth(case, m, rates, mu)
     inverse_square = mu * rate
     if inverse_square <= 0.0:
         return Bound(math.inf, mu, growing, 0.0, 0.0, gained)
@@ -158,12 +184,12 @@ def least_mobility(case: Case, m: Mobility, on_robot: float) -> float:
 @inlined
 def is_no_slower(case: Case, m: Mobility, k: int, rate: float, least: float, work: Work) -> bool:
     """Return whether `case` allows the speed `least` [m/s] anyway, by what bounds every case with mobility `k`."""
-    if not 0.0 <= least < math.inf:
+    if not 0.0 < least < math.inf:  # of several cases that allow none, the first counts
         return False
-    time = case.drive_time if case.drive_time > 0.0 else work.times[k]
+    mobility = least_mobility(case, m, work.least_mobilities[k])
+    time = case.drive_time if case.drive_time > 0.0 else contact_time(inverse(mobility), case.stiffness)
     speed = least * (1.0 + work.growths[k] * time * least) + work.accelerations[k] * time
-    # `speed` may be NaN.
-    allows: bool = rate * speed * speed <= least_mobility(case, m, work.least_mobilities[k])
+    allows: bool = rate * speed * speed <= mobility  # `speed` may be NaN
     return allows
 
 
@@ -242,35 +268,30 @@ def fill_bounds(mobilities: Sequence[Mobility], setup: Setup, work: Work) -> Non
         if m.hull == HULL_KNOWN:
             mobility = m.square * m.speed_ratio / m.energy_of_arm
         work.least_mobilities[k] = mobility / factor
-        heaviest = m.speed_ratio * inverse(setup.min_alpha + mobility / factor)
-        work.times[k] = contact_time(heaviest, setup.min_stiffness)
-        work.growths[k] = 0.5 * max_growth(m, alpha) / m.speed if m.change_rank > 0 else 0.0
+        x = symmetric_product(mass_matrix(m, alpha, 1.0), vector(m.direction)) if m.change_rank > 0 else ZERO_VECTOR
+        work.growths[k] = 0.5 * max_growth(m, x) / m.speed if m.change_rank > 0 else 0.0
         # Outside the range of the simulated contacts no case is skipped.
-        work.accelerations[k] = max_rate(m, alpha) if m.matrix_trace <= MAX_MOBILITY * factor else math.inf
+        work.accelerations[k] = max_rate(m, x, alpha) if m.matrix_trace <= MAX_MOBILITY * factor else math.inf
 
 
 @inlined
-def case_at_point(cases: Sequence[Case], mobilities: Sequence[Mobility], mass_factor: float) -> int:
-    """Return the case with the largest force over its limit at the point, by the first line of the drives."""
-    first, largest = 0, -1.0
+def likely_case(cases: Sequence[Case], mass: float) -> int:
+    """Return the case with the largest force over its limit for an effective mass [kg]: most others can be skipped."""
+    likely, largest = 0, -1.0
     for i in range(len(cases)):
-        for k in range(len(mobilities)):
-            alpha, beta = mass_factor * cases[i].lines[0, 0], cases[i].lines[0, 1]
-            square = cases[i].rate * point_reduced_mass(mobilities[k], alpha, beta)
-            if square > largest:
-                first, largest = i, square
-    return first
+        square = cases[i].rate * mass / (1.0 + cases[i].obstacle_mobility * mass)
+        if square > largest:
+            likely, largest = i, square
+    return likely
 
 
 @inlined
 def governing_case(
-    cases: Sequence[Case], mobilities: Sequence[Mobility], drives: Drives, setup: Setup, work: Work
+    cases: Sequence[Case], start: int, mobilities: Sequence[Mobility], drives: Drives, setup: Setup, work: Work
 ) -> tuple[int, Bound]:
-    """Return the case that allows the least speed, and its bound."""
+    """Return the case that allows the least speed, and its bound; `start` is the first that is tried."""
     factor, governing, slowest = setup.mass_factor, 0, NO_BOUND
     fill_bounds(mobilities, setup, work)
-    # On a link, most cases are skipped if the case that governs at its vertex comes first.
-    start = 0 if mobilities[0].hull == HULL_NONE else case_at_point(cases, mobilities, factor)
     for n in range(len(cases)):
         i = (start + n) % len(cases)
         case, bound = cases[i], NO_BOUND
@@ -366,10 +387,16 @@ def person_push_bound(
 
 @inlined
 def governing_person_case(
-    cases: Sequence[Case], mobilities: Sequence[Mobility], drives: Drives, setup: Setup, work: Work, person: Person
+    cases: Sequence[Case],
+    start: int,
+    mobilities: Sequence[Mobility],
+    drives: Drives,
+    setup: Setup,
+    work: Work,
+    person: Person,
 ) -> tuple[int, Bound]:
     """Return the case that allows the robot the least speed with a moving person, and its bound."""
-    governing, slowest, start = 0, NO_BOUND, case_at_point(cases, mobilities, setup.mass_factor)
+    governing, slowest = 0, NO_BOUND
     for n in range(len(cases)):
         i = (start + n) % len(cases)
         case, bound = cases[i], NO_BOUND

@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from scara_effmass.kernel.codes import Normal
 from scara_effmass.kernel.contact_point import Approach
 from scara_effmass.kernel.jit import inlined
-from scara_effmass.kernel.pose_change import solve_mobility
+from scara_effmass.kernel.pose_change import mass_matrix
 from scara_effmass.kernel.records import Case, Mobility, Setup, Work
-from scara_effmass.kernel.spatial import dot, norm, scale, vector, vector_at
+from scara_effmass.kernel.spatial import dot, norm, scale, symmetric_product, vector, vector_at
 from scara_effmass.reference.pose_state import MIN_LEVER_M
 from scara_effmass.values import Vector3
 
@@ -95,7 +95,7 @@ def holding_force(
         alpha = min(alpha, cases[i].obstacle_mobility)
     for k in range(len(changes)):
         if changes[k].change_rank > 0:
-            worst = solve_mobility(changes[k], alpha, vector(changes[k].direction))
+            worst = symmetric_product(mass_matrix(changes[k], alpha, 1.0), vector(changes[k].direction))
             length = norm(worst)
             if 0.0 < length < math.inf:
                 force = smaller_force(force, scale(1.0 / length, worst), approach.joints, setup, work)
