@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict, deque
+from collections import Counter, defaultdict, deque
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,7 +13,7 @@ import numpy as np
 from scara_effmass.analysis.assessment import Time, joint_state_topic
 from scara_effmass.bags.files import open_bag
 from scara_effmass.codes import Reason
-from scara_effmass.errors import BagError, RobotError
+from scara_effmass.errors import BagError, RobotError, SettingsError
 from scara_effmass.identification.arm import (
     ArmEstimate,
     EffectiveMasses,
@@ -144,7 +144,7 @@ class Identification(NamedTuple):
         estimate, base = self.estimate, self.estimate.base
         yield "joint states", f"{self.used} with effort of {self.total}"
         if estimate.unfit:
-            yield "no masses", f"{estimate.unfit}: state --torque-constants, or check masses and units of the file"
+            yield "no masses", f"{estimate.unfit}: check --torque-constants, masses and mounting of the file, payload"
             return
         rows = f"{estimate.solution.left_out} of {estimate.solution.rows + estimate.solution.left_out} rows stand out"
         text = f"{base.rank} of {base.identifiable} base parameters move the torques, {rows} and do not count"
@@ -199,8 +199,11 @@ def identify(path: Path, settings: MonitorSettings, topic: str | None = None) ->
     """Return the masses of the robot of `settings` by the recording at `path`.
 
     They are those of the lumped model for a robot without inertia tensors, and where the settings choose it. Raises
-    BagError for a recording without effort or motion, and RobotError for a robot without masses or centres of mass.
+    BagError for a recording without effort or motion, RobotError for a robot without masses or centres of mass, and
+    SettingsError where velocities are not to count as reported.
     """
+    if settings.filters_velocity:
+        raise SettingsError("velocity: must be the reported one for identification: velocity_source, velocity_window")
     robot = load_robot(settings.robot_path, settings)
     dynamics = RobotDynamics(robot)
     is_lumped = dynamics.full_reason or settings.effective_mass_model is MassModel.LUMPED
@@ -211,14 +214,10 @@ def identify(path: Path, settings: MonitorSettings, topic: str | None = None) ->
     lumped, motion = dynamics.lumped if is_lumped else None, _Motion(robot, settings)
     estimate = identify_arm(robot, motion.means(path, topic), settings.effort_uncertainty, lumped)
     if not motion.has_torque:
-        problem = (
-            "the effort is 0 throughout"
-            if motion.used
-            else f"none of {motion.total} joint states of the robot has velocity and effort"
-        )
-        raise BagError(f"{path}: {problem}: must hold the torques of the joints")
+        raise BagError(f"{path}: {motion.problem or 'the effort is 0 throughout'}: must hold the torques of the joints")
     if estimate is None:
-        raise BagError(f"{path}: no joint moves for long enough: must hold motion of the arm")
+        problem = motion.problem or "no joint moves for long enough"
+        raise BagError(f"{path}: {problem}: must hold motion of the arm")
     masses = effective_masses(estimate, CONFIGURATIONS)
     stamps, latest = (np.array(values) for values in zip(*motion.latest, strict=True))
     seconds = (stamps - stamps[-1]) / NS
@@ -234,7 +233,16 @@ class _Motion:
         self._adapter = JointStateAdapter(robot.joint_names, settings, robot.periods, robot.held)
         self.used = self.total = 0
         self.has_torque = False
+        self._problems = Counter[str]()
         self.latest = deque[tuple[int, FloatArray]](maxlen=LATEST)
+
+    @property
+    def problem(self) -> str:
+        """What is wrong with most of the joint states that do not count; empty if all do."""
+        if not self._problems:
+            return ""
+        ((text, count),) = self._problems.most_common(1)
+        return f"{count} of {self.total} joint states: {text}" if count else ""
 
     def means(
         self,
@@ -255,16 +263,22 @@ class _Motion:
             for block in bag.joint_state_blocks(joint_state_topic(bag, topic)):
                 layout, size = adapter.layout(block.names), len(block)
                 self.total += size
-                if not size or layout.is_foreign or layout.reason is not Reason.NONE:
+                if layout.is_foreign or layout.reason is not Reason.NONE:
+                    named = f"they name {', '.join(block.names)}, not {', '.join(robot.joint_names)}: see joint_map"
+                    self._problems[named] += size
                     continue
                 q, qd = np.empty((2, size, robot.model.nv))
                 reason, _ = adapter.read(layout, block.position, block.velocity, q, qd)
                 if reason is not Reason.NONE or block.effort.shape[-1] != len(block.names) or not block.velocity.size:
+                    self._problems["no velocity or no effort"] += size
                     continue
                 stamps = block.log_time_ns if time is Time.LOG else block.stamp_ns
                 effort = block.effort[:, layout.order]
-                self.has_torque |= bool(np.any(effort != 0.0))
-                self.used += size
+                is_finite = np.isfinite(effort).all(axis=1)
+                self._problems["the effort is not finite"] += int(np.sum(~is_finite))
+                self._problems["their stamps do not increase"] += int(np.sum(np.diff(stamps) <= 0))
+                self.has_torque |= bool(np.any(effort[is_finite] != 0.0))
+                self.used += int(np.sum(is_finite))
                 while poses is not None and waiting and waiting[0] <= stamps[-1]:
                     row = int(np.searchsorted(stamps, stamp_ns := waiting.popleft()))
                     if stamps[row] - stamp_ns <= timeout_ns:

@@ -23,7 +23,14 @@ import pinocchio as pin
 from scipy.linalg import block_diag, qr
 from scipy.optimize import least_squares, lsq_linear
 
-from scara_effmass.identification.regression import Solution, TorqueRegression, link_parameters, rest_speeds
+from scara_effmass.identification.regression import (
+    LEVER,
+    Solution,
+    TorqueRegression,
+    link_parameters,
+    rest_speeds,
+    torque_regressor,
+)
 from scara_effmass.kernel.intervals import HIGHEST, LOWEST, QD, QDD, Q
 from scara_effmass.model.lumping import LumpedModel
 from scara_effmass.model.robot import Robot
@@ -33,6 +40,8 @@ PER_LINK = 10
 """Number of inertial parameters of a link, in Pinocchio's order: m, m c, and the inertia about the joint's origin."""
 DEVIATION = 0.5
 """Relative standard deviation of the mass of a link by the file; its CoM has 0.35 of the link's radius of gyration."""
+LOAD = 0.2
+"""Load of the last link that counts for its standard deviations, as a share of the mass of the arm."""
 MIN_KAPPA = 0.2
 """Smallest share of its link that counts for the standard deviation of a lumped mass: the file may state it as 0."""
 MAX_DEVIATIONS = 10.0
@@ -184,11 +193,13 @@ def identify_arm(
 
 
 def _bodies(robot: Robot) -> _Prior:
-    """Return rigid bodies for links."""
+    """Return rigid bodies for links; the last one may carry a load that the file does not state."""
     stated = link_parameters(robot.model)
-    factors = [_factor(parameters, stated[:, 0].mean()) for parameters in stated]
+    likely, lever = stated.copy(), LEVER * robot.reach
+    likely[-1] += LOAD * stated[:, 0].sum() * _parameters(np.diag([lever * lever] * 3 + [1.0]))
+    factors = [_factor(parameters, stated[:, 0].mean()) for parameters in likely]
     units = block_diag(*(_units(factor) for factor in factors))
-    # The prior's links differ from those of the file where these have no extent.
+    # The prior's links differ from those of the file where these have no extent or carry a load.
     start = stated.ravel() - np.concatenate([_parameters(factor @ factor.T) for factor in factors])
     return _Prior(robot, robot, np.eye(stated.size), units, np.linalg.solve(units, start), _project)
 
@@ -282,8 +293,8 @@ def effective_mass(
     w = np.linalg.solve(robot.mass_matrix(model, data, q), jacobian.T @ normals.T).T
     masses = 1.0 / np.einsum("ki,ki->k", w @ jacobian.T, normals)
     rest = np.zeros(model.nv)
-    at_rest = pin.computeJointTorqueRegressor(model, data, q, rest, rest).copy()
-    rows = [pin.computeJointTorqueRegressor(model, data, q, rest, row) - at_rest for row in w]
+    at_rest = torque_regressor(model, data, q, rest, rest).copy()
+    rows = [torque_regressor(model, data, q, rest, row) - at_rest for row in w]
     return masses, masses[:, None] ** 2 * np.einsum("ki,kij->kj", w, np.array(rows))
 
 
@@ -403,7 +414,7 @@ def _base_parameters(robot: Robot, basis: FloatArray, gram: FloatArray) -> BaseP
     """Return what the Gram matrix (p, p) of a recording says about the parameters `basis` (10 n, p) of `robot`."""
     rng, model, data = np.random.default_rng(RANDOM_SEED), robot.model, robot.model.createData()
     rows = [
-        pin.computeJointTorqueRegressor(model, data, q, *rng.normal(size=(2, model.nv))) @ basis
+        torque_regressor(model, data, q, *rng.normal(size=(2, model.nv))) @ basis
         for q in robot.sample_configurations(2 * PER_LINK * model.nv)
     ]
     order, identifiable = _pivoted(np.vstack(rows))

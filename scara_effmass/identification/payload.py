@@ -12,8 +12,9 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 from scipy.linalg import block_diag
+from scipy.special import ndtr, ndtri
 
-from scara_effmass.identification.regression import MIN_SIGNIFICANCE, Z_95, TorqueRegression, link_parameters
+from scara_effmass.identification.regression import LEVER, MIN_SIGNIFICANCE, Z_95, TorqueRegression, link_parameters
 from scara_effmass.model.robot import Robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.reference.mobility import worst_mass
@@ -25,8 +26,8 @@ MAX_MASS = 1e6
 """Effective mass [kg] from which on it counts as infinite, with and without the load."""
 MAX_LOAD = 1.0
 """Largest load, as a share of the mass of the arm: no arm carries more than itself."""
-LEVER = 0.1
-"""Standard deviation of the distance of the load from its joint before anything is known, as a share of the reach."""
+MIN_LEFT = 0.1
+"""Least share of the mass of the last link and its stated load that is left where the load is lighter."""
 
 
 class PayloadEstimate(NamedTuple):
@@ -54,9 +55,12 @@ class PayloadEstimate(NamedTuple):
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Interval of 95 % of the mass [kg]; a mass is not negative."""
-        half = Z_95 * self.deviation
-        return max(0.0, self.mass - half), max(0.0, self.mass + half)
+        """Shortest interval of 95 % of the mass [kg], which is not negative: of the normal distribution above 0."""
+        positive = ndtr(self.mass / self.deviation)
+        half = self.deviation * float(ndtri(0.5 + 0.475 * positive))
+        if self.mass >= half:
+            return self.mass - half, self.mass + half
+        return 0.0, self.mass - self.deviation * float(ndtri(0.05 * positive))
 
 
 class PayloadEstimator:
@@ -114,18 +118,24 @@ class PayloadEstimator:
         )
 
 
-def mass_gain(robot: Robot, mass: float, moment: FloatArray) -> float:
-    """Return by how much a further `mass` [kg] multiplies the largest effective mass of a contact point at any pose.
+def mass_gain(robot: Robot, load: float, moment: FloatArray) -> float:
+    """Return by how much another load multiplies the largest effective mass of a contact point at any pose.
 
-    `moment` (3,) [kg m] is `mass` times CoM in the frame of the last joint. The poses are the sampled ones; at singular
-    ones the mass is infinite with and without the load, and does not count.
+    Its mass differs by `load` [kg], and mass times CoM in the frame of the last joint by `moment` (3,) [kg m]. More
+    mass is a point; where none within reach has this moment, the centre of mass is another one. The poses are the
+    sampled ones; at singular ones the mass is infinite with and without the load, and does not count.
     """
-    heavier = robot.model.copy()
-    load = pin.Inertia(mass, moment / mass, np.zeros((3, 3)))
-    heavier.appendBodyToJoint(heavier.njoints - 1, load, pin.SE3.Identity())
-    models = [(model, model.createData()) for model in (robot.model, heavier)]
+    other, stated = robot.model.copy(), robot.model.inertias[robot.model.njoints - 1]
+    if load > 0.0 and float(np.linalg.norm(moment)) <= load * robot.reach:
+        point = pin.Inertia(load, moment / load, np.zeros((3, 3)))
+        other.appendBodyToJoint(other.njoints - 1, point, pin.SE3.Identity())
+    else:
+        mass = max(stated.mass + load, MIN_LEFT * stated.mass)
+        com = (stated.mass * stated.lever + moment) / mass
+        other.inertias[other.njoints - 1] = pin.Inertia(mass, com, stated.inertia)
+    models = [(model, model.createData()) for model in (robot.model, other)]
     contacts = RobotDynamics(robot).contacts
-    gain = 1.0
+    gain = 0.0
     for q in robot.sample_configurations():
         inverses = [np.linalg.inv(robot.mass_matrix(model, data, q)) for model, data in models]
         for contact in contacts:

@@ -36,10 +36,16 @@ Z_95 = 1.959963984540054
 """Quantile of the normal distribution for an interval of 95 %."""
 FRICTION = 0.1
 """Standard deviation of the friction of a joint, as a share of its effort limit."""
+LEVER = 0.1
+"""Standard deviation of the distance of the load from its joint before anything is known, as a share of the reach."""
 MAX_ERRORS = 4.0
 """Largest error of a torque constant, in its standard deviations, that the model explains."""
 MIN_TORQUE = 1e-6
 """Smallest torque that is told from 0 [N m, N]."""
+UNEXPLAINED = 0.9
+"""Share of the torque of a joint that a residual leaves if the model explains nothing of it."""
+MIN_KNOWN = 0.01
+"""Least torque by the model, as a share of the largest of all joints, that must show in the effort."""
 UNKNOWN_UNIT = 10.0
 """Standard deviation of the relative error of a torque constant about which nothing is known."""
 MIN_SIGNIFICANCE = 5.0
@@ -68,6 +74,12 @@ _ITERATIONS, _FREE_ITERATIONS = 8, 5
 def link_parameters(model: pin.Model) -> FloatArray:
     """Return the inertial parameters (n, 10) of the moving links of `model`."""
     return np.array([inertia.toDynamicParameters() for inertia in list(model.inertias)[1:]])
+
+
+def torque_regressor(model: pin.Model, data: pin.Data, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
+    """Return Y (n, 10 n) of the torques Y pi, rotors aside."""
+    y = pin.computeJointTorqueRegressor(model, data, q, qd, qdd)
+    return np.reshape(y, (model.nv, -1))  # Pinocchio returns (10,) for one joint
 
 
 def rest_speeds(robot: Robot) -> FloatArray:
@@ -220,7 +232,7 @@ class TorqueRegression:
         """Return Y, sign(qd), qd, rnea and tau (n, p + 4) of each joint."""
         model = self._robot.model
         known = pin.rnea(model, self._data, q, qd, qdd) + self._robot.rotors.coupling @ qdd
-        y = pin.computeJointTorqueRegressor(model, self._data, q, qd, qdd) @ self._units
+        y = torque_regressor(model, self._data, q, qd, qdd) @ self._units
         rows: FloatArray = np.column_stack((y, np.sign(qd), qd, known, torque))
         return rows
 
@@ -285,6 +297,8 @@ class TorqueRegression:
         gain += (_squares(residual, rows.resting) - _squares(free, rows.resting)) / of_standstill
         if np.sum(gain) < MIN_SIGNIFICANCE**2:
             unfit = ""
+        unfit = unfit or self._unlike_the_model(torques, known, np.sqrt(noise), sums)
+        unfit = unfit or self._backward(own[:, 0] + MIN_SIGNIFICANCE * np.maximum(deviations[p::_OWN], np.sqrt(noise)))
         noise_of_rows = np.where(sums.counts > 0.0, noise * inflation, (NOISE * scales) ** 2)
         self._solved, self._sums = _System(weighted, columns, noise_of_rows, scales), sums
         self._counted = counted
@@ -383,3 +397,29 @@ class TorqueRegression:
             return ""
         name = self._robot.joint_names[worst]
         return f"the effort of {name} is {100 * errors[worst]:+.0f} % off the torque of the model"
+
+    def _unlike_the_model(self, torques: FloatArray, known: FloatArray, residuals: FloatArray, sums: _Sums) -> str:
+        """Return which joint has torques unlike those of the model, root mean squares `known` (n,); empty if none has.
+
+        A unit that is far off passes for noise: then known torque and friction alone explain the torque.
+        """
+        for j, name in enumerate(self._robot.joint_names):
+            if not sums.counts[j] or known[j] <= MIN_TORQUE:
+                continue
+            if torques[j] <= MIN_TORQUE:
+                return f"the effort of {name} is 0 while it moves"
+            if residuals[j] < UNEXPLAINED * torques[j] or known[j] < MIN_KNOWN * known.max():
+                continue
+            products = sums.products[j, -4:, -4:]
+            slopes = np.linalg.lstsq(products[:-1, :-1], products[:-1, -1], rcond=None)[0]
+            left = products[-1, -1] - slopes @ products[:-1, -1]
+            if left < 0.5 * products[-1, -1] or known[j] > 0.5 * torques[j]:
+                return f"the effort of {name} is not the torque of the model"
+        return ""
+
+    def _backward(self, friction: FloatArray) -> str:
+        """Return which joint friction pushes on, by upper ends (n,) of its Coulomb friction; empty if none."""
+        worst = int(np.argmin(friction))
+        if not friction[worst] < 0.0:
+            return ""
+        return f"the friction of {self._robot.joint_names[worst]} pushes, as if its effort had the wrong sign"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the torques of the joints show a heavier load than the stated one. It never makes the robot lighter."""
+"""Whether the torques of the joints show another load than the stated one. It never makes the robot lighter."""
 
 from __future__ import annotations
 
@@ -7,8 +7,11 @@ from collections.abc import Iterator
 from functools import partial
 from typing import NamedTuple
 
+import numpy as np
+
 from scara_effmass.codes import Reason
 from scara_effmass.identification.payload import PayloadEstimate, PayloadEstimator, mass_gain
+from scara_effmass.identification.regression import LEVER
 from scara_effmass.kernel.intervals import Intervals
 from scara_effmass.kernel.records import IntArray
 from scara_effmass.reference import RobotDynamics
@@ -16,13 +19,16 @@ from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import FloatArray
 
 ALARM = 5.0
-"""Standard deviations by which the load must be above the stated one to count as heavier."""
+"""Standard deviations by which mass or moment of the load must differ from the stated one to contradict it."""
+WITHDRAWN = 2.5
+"""Standard deviations within which the moment must be for a doubt to end."""
 MIN_SHARE = 0.01
-"""Smallest share of the mass of the arm by which it must be: no model of friction and motors is better."""
+"""Smallest share of the mass of the arm, and of an effective mass, that counts: no model of friction is better."""
+_SEVERITY = (Reason.NONE, Reason.HEAVIER_LOAD, Reason.UNSTATED_LOAD)
 
 
 class Doubt(NamedTuple):
-    """A load above the stated one: HEAVIER_LOAD or UNSTATED_LOAD and the text, NONE without one."""
+    """A load that makes the robot heavier than the stated one: HEAVIER_LOAD or UNSTATED_LOAD and the text, or NONE."""
 
     reason: Reason = Reason.NONE
     text: str = ""
@@ -39,7 +45,7 @@ def _used(settings: MonitorSettings) -> tuple[object, ...]:
 
 
 def _interval(estimate: PayloadEstimate) -> str:
-    return "{:.2f} kg ({:.2f} to {:.2f})".format(estimate.mass, *estimate.interval)
+    return "{:.2f} kg ({:.2f} to {:.2f})".format(max(0.0, estimate.mass), *estimate.interval)
 
 
 class LoadWatch:
@@ -78,6 +84,7 @@ class LoadWatch:
         self._intervals, self._estimator = self._new_intervals(), self._new_estimator()
         self.estimate: PayloadEstimate | None = None
         self.doubt = Doubt()
+        self._doubted_mass = 0.0
 
     def wait(self, stamp_ns: int, q: FloatArray, qd: FloatArray, effort: FloatArray) -> bool:
         """Keep the next joint state (n,) for `watch` if it can wait; return whether it is kept."""
@@ -104,7 +111,7 @@ class LoadWatch:
         if self.why_not or estimate is None:
             return f"unknown: {self.why_not or 'it needs joint states with effort, and about a second of motion'}"
         if estimate.unfit:
-            return f"unknown: {estimate.unfit}: state torque_constants, or set effort_uncertainty to 0"
+            return f"unknown: {estimate.unfit}: check torque_constants, masses and mounting of the robot file, payload"
         if not estimate.is_observable:
             return f"not observable by this motion ({_interval(estimate)}): move {estimate.telling_joint} to and fro"
         return _interval(estimate)
@@ -118,19 +125,42 @@ class LoadWatch:
         return max(0.0, estimate.interval[1] - estimate.stated)
 
     def _doubt(self, estimate: PayloadEstimate) -> Doubt:
+        """Return what is in doubt. Only an estimate that shows the stated load ends a doubt: ignorance does not."""
+        before = self.doubt
         if estimate.unfit:
-            return Doubt()
-        lower, _ = estimate.interval
-        if self.doubt.reason:
-            # The text stays the same, so that it does not change with each estimate.
-            return self.doubt if lower > estimate.stated else Doubt()
-        smallest = MIN_SHARE * self._dynamics.robot.moving_mass
-        if estimate.mass - estimate.stated <= max(ALARM * estimate.deviation, smallest):
-            return Doubt()
-        text = f"the torques show a load of {_interval(estimate)}, not the stated {estimate.stated:.2f} kg"
-        return Doubt(Reason.UNSTATED_LOAD if self._exceeds_margin(estimate) else Reason.HEAVIER_LOAD, text)
-
-    def _exceeds_margin(self, estimate: PayloadEstimate) -> bool:
-        """Return whether the load adds more than `mass_uncertainty` to the largest effective mass anywhere."""
+            return before
+        lower, upper = estimate.interval
+        moment = np.abs(estimate.moment)
+        if not self._contradicts(estimate, moment):
+            is_close = (moment <= WITHDRAWN * estimate.moment_deviations).all() or not self._is_large(moment)
+            ends = estimate.is_observable and lower <= estimate.stated and is_close
+            return Doubt() if ends else before
+        # The text stays the same while it is true, so that it does not change with each estimate.
+        is_true = not estimate.is_observable or lower <= self._doubted_mass <= upper
+        if is_true and before.reason is Reason.UNSTATED_LOAD:
+            return before
         load = estimate.mass - estimate.stated
-        return mass_gain(self._dynamics.robot, load, estimate.moment) > self._margin
+        gain = mass_gain(self._dynamics.robot, load, estimate.moment)
+        if gain <= 1.0 + MIN_SHARE and not self._is_heavier(estimate):  # the robot is lighter
+            return Doubt() if estimate.is_observable else before
+        reason = Reason.UNSTATED_LOAD if gain > self._margin else Reason.HEAVIER_LOAD
+        if is_true and _SEVERITY.index(reason) <= _SEVERITY.index(before.reason):
+            return before
+        self._doubted_mass = estimate.mass
+        text = f"the torques show a load of {_interval(estimate)}, not the stated {estimate.stated:.2f} kg"
+        if not self._is_heavier(estimate):
+            text = f"{text} at its centre of mass: the moment is {np.linalg.norm(moment):.3f} kg m off"
+        return Doubt(reason, text)
+
+    def _is_heavier(self, estimate: PayloadEstimate) -> bool:
+        smallest = MIN_SHARE * self._dynamics.robot.moving_mass
+        return estimate.mass - estimate.stated > max(ALARM * estimate.deviation, smallest)
+
+    def _is_large(self, moment: FloatArray) -> bool:
+        robot = self._dynamics.robot
+        return float(np.linalg.norm(moment)) > MIN_SHARE * robot.moving_mass * LEVER * robot.reach
+
+    def _contradicts(self, estimate: PayloadEstimate, moment: FloatArray) -> bool:
+        """Return whether mass or `moment` (3,) [kg m], without signs, contradict the stated load."""
+        is_moved = self._is_large(moment) and bool((moment > ALARM * estimate.moment_deviations).any())
+        return self._is_heavier(estimate) or is_moved

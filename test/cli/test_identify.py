@@ -70,19 +70,24 @@ def test_report_and_files(cli: Cli, bag: Path, tmp_path: Path) -> None:
     assert (again.returncode, "already exists; use --force" in again.stderr) == (2, True)
 
 
-@pytest.fixture(scope="module")
-def scara_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a recording of an i4-550L whose link 2 is 1.3 times as heavy as in the file."""
+def scara_recording(path: Path, load: float) -> Path:
+    """Write a recording of an i4-550L with a `load` [kg] whose link 2 is 1.3 times as heavy as in the file."""
     robot = robot_of(SCARA)
     heavy = robot.model.copy()
     stated = heavy.inertias[2]
     heavy.inertias[2] = pin.Inertia(1.3 * stated.mass, stated.lever, 1.3 * stated.inertia)
-    states = simulated(replace(robot, model=heavy), SCARA, 0.0, 30.0, np.random.default_rng(2))
-    return recording(tmp_path_factory.mktemp("bag") / "scara.mcap", robot.joint_names, *states)
+    states = simulated(replace(robot, model=heavy), SCARA, load, 30.0, np.random.default_rng(2))
+    return recording(path, robot.joint_names, *states)
 
 
-def test_corrected_dh_file_has_the_identified_bodies(cli: Cli, scara_bag: Path, tmp_path: Path) -> None:
-    done = cli("identify", scara_bag, "--payload", "0.1", "-o", tmp_path)
+@pytest.fixture(scope="module")
+def scara_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return scara_recording(tmp_path_factory.mktemp("bag") / "scara.mcap", 0.0)
+
+
+def test_corrected_dh_file_has_the_identified_bodies(cli: Cli, tmp_path: Path) -> None:
+    bag = scara_recording(tmp_path / "scara.mcap", 0.1)
+    done = cli("identify", bag, "--payload", "0.1", "-o", tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
     result = json.loads((tmp_path / "identify.json").read_text())
     assert result["point_masses"] is None
@@ -147,9 +152,7 @@ def test_recordings_without_torques_or_motion_are_refused(refused: Refused, bag:
     stamps, q, qd, effort = (values[:100] for values in simulated(robot, UR10, 0.0, 2.0, np.random.default_rng(7)))
     names, nothing = robot.joint_names, np.empty((100, 0))
     without = recording(tmp_path / "without.mcap", names, stamps, q, qd, nothing)
-    assert "none of 100 joint states of the robot has velocity and effort" in refused(
-        "identify", without, "--robot", ROBOT
-    )
+    assert "100 of 100 joint states: no velocity or no effort" in refused("identify", without, "--robot", ROBOT)
     long = simulated(robot, UR10, 0.0, 30.0, np.random.default_rng(7))
     zero = recording(tmp_path / "zero.mcap", names, *long[:3], 0.0 * long.effort)
     assert "the effort is 0 throughout" in refused("identify", zero, "--robot", ROBOT)

@@ -74,6 +74,27 @@ def test_modelled_torques_are_the_measured_ones_up_to_the_residual(is_lumped: bo
     assert 0.5 < np.isfinite(torques).mean() < 1.0
 
 
+def test_a_tool_that_the_file_does_not_have_is_found() -> None:
+    """It weighs five times as much as the last link of the file."""
+    robot = robot_of(UR10)
+    model = robot.model.copy()
+    model.appendBodyToJoint(6, pin.Inertia(1.0, robot.tip.translation, 1e-3 * np.eye(3)), pin.SE3.Identity())
+    found = estimated(robot, simulated(replace(robot, model=model), UR10, 0.0, 40.0, np.random.default_rng(7)))
+    assert not found.unfit
+    assert abs(found.parameters[-1, 0] - model.inertias[6].mass) < 2.5 * found.deviations[-1, 0]
+    masses = effective_masses(found, 60)
+    true = effective_masses(found._replace(parameters=link_parameters(model)), 60).identified
+    assert np.mean(true < masses.identified + 1.96 * masses.deviations) > 0.9
+
+
+def test_friction_that_pushes_does_not_fit() -> None:
+    """The last wrist carries little: a wrong sign of its effort passes for a light link and negative friction."""
+    robot = robot_of(UR10)
+    states = simulated(robot, UR10, 0.0, 30.0, np.random.default_rng(3))
+    found = estimated(robot, states._replace(effort=states.effort * [1.0, 1.0, 1.0, 1.0, 1.0, -1.0]))
+    assert found.unfit == "the friction of wrist_3_joint pushes, as if its effort had the wrong sign"
+
+
 def test_every_link_is_a_body() -> None:
     for seed in range(3):
         robot = robot_of(UR10)

@@ -1,12 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Load of the last link by the torques, on simulated joint states."""
 
+from dataclasses import replace
 from pathlib import Path
+from statistics import NormalDist
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from scara_effmass.identification.arm import identify_arm
 from scara_effmass.identification.payload import PayloadEstimate, PayloadEstimator, mass_gain
 from scara_effmass.kernel.intervals import Intervals
 from scara_effmass.model.load import load_robot
@@ -118,6 +123,54 @@ def test_effort_of_another_unit_fits_no_load() -> None:
         assert "off the torque of the model" in last.unfit
 
 
+@pytest.mark.parametrize(
+    ("case", "factor", "text"),
+    [(SCARA, 0.0, "is 0 while it moves"), (UR10, 0.0, "is 0 while it moves"), (SCARA, -1.0, "")],
+)
+def test_torque_of_one_joint_unlike_the_model_fits_no_load(case: Case, factor: float, text: str) -> None:
+    """The last joint carries little, so that its error hides in the load and in friction."""
+    robot = robot_of(case)
+    states = simulated(robot, case, case.load, 12.0, np.random.default_rng(6))
+    effort = states.effort * np.append(np.ones(robot.model.nv - 1), factor)
+    *_, found = estimates(robot, states._replace(effort=effort))
+    assert robot.joint_names[-1] in found.unfit
+    assert text in found.unfit
+
+
+def test_torques_a_thousand_times_too_large_fit_no_load() -> None:
+    robot = robot_of(UR10)
+    states = simulated(robot, UR10, 1.0, 6.0, np.random.default_rng(5))
+    *_, last = estimates(robot, states._replace(effort=1000.0 * states.effort))
+    assert last.unfit
+
+
+def test_robot_of_one_joint() -> None:
+    model, planar = pin.Model(), planar_arm()
+    model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "joint1")
+    model.appendBodyToJoint(1, planar.model.inertias[1], pin.SE3.Identity())
+    model.lowerPositionLimit, model.upperPositionLimit = np.full(1, -3.0), np.full(1, 3.0)
+    model.effortLimit, model.velocityLimit, model.armature = np.full(1, 50.0), np.full(1, 3.0), np.zeros(1)
+    tool = model.addFrame(pin.Frame("tool", 1, 0, planar.model.frames[-1].placement, pin.FrameType.OP_FRAME))
+    rotors = replace(planar.rotors, matrix=np.zeros((1, 1)))
+    robot = replace(planar, model=model, contact_frames={"tool": tool}, rotors=rotors)
+    *_, last = estimates(robot, harmonic(robot, pin.Inertia(1.0, np.array([0.4, 0.0, 0.0]), np.zeros((3, 3))), [1.0]))
+    assert abs(last.moment[0] - 0.4) < 3.0 * last.moment_deviations[0]
+    assert identify_arm(robot, Intervals(robot.periods, 0.1).add(*harmonic(robot, pin.Inertia.Zero(), [1.0]))[1], 0.03)
+
+
+@given(st.floats(-4.0, 20.0), st.floats(1e-3, 10.0))
+def test_interval_is_that_of_a_mass_that_is_not_negative(ratio: float, deviation: float) -> None:
+    nothing = np.zeros(0)
+    numbers = ratio * deviation, deviation, 0.0, nothing, nothing
+    found = PayloadEstimate(
+        0, *numbers, is_observable=True, telling_joint="", unfit="", friction=nothing, scale_errors=nothing
+    )
+    lower, upper = found.interval
+    above = NormalDist(ratio * deviation, deviation)
+    assert lower <= max(0.0, ratio * deviation) < upper
+    assert above.cdf(upper) - above.cdf(lower) == pytest.approx(0.95 * (1.0 - above.cdf(0.0)), rel=1e-3)
+
+
 def test_mass_gain_is_the_ratio_of_effective_masses() -> None:
     """A point mass at the contact point adds at most its own mass to any effective mass."""
     robot = load_robot(Path(__file__).parents[2] / "config/robots/ur5_robot.urdf", MonitorSettings())
@@ -133,6 +186,8 @@ def test_mass_gain_is_the_ratio_of_effective_masses() -> None:
         lightest.append(1.0 / np.linalg.eigvalsh(jacobian @ inverse @ jacobian.T)[0])
     assert gain == pytest.approx(1.0 + 2.0 / min(lightest), rel=1e-9)
     assert mass_gain(robot, 0.0 + 1e-9, np.zeros(3)) == pytest.approx(1.0, abs=1e-6)
+    # The same mass elsewhere is another centre of mass of the last link.
+    assert mass_gain(robot, 0.0, 0.05 * frame) > 1.0 > mass_gain(robot, -0.05, np.zeros(3))
 
 
 def test_mass_gain_counts_where_a_point_moves_in_a_plane_alone() -> None:

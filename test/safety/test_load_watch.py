@@ -42,15 +42,19 @@ class Motion(NamedTuple):
     effort: FloatArray
 
 
-def motion(load: float, *, scale: float = 1.0, noise: float = 0.2, moves: float = 1.0) -> Motion:
-    """Simulate a UR10 with a `load` [kg] 5 cm beyond its flange; `scale` turns torque into effort."""
+def motion(load: float, *, scale: float = 1.0, noise: float = 0.2, only: int | None = None) -> Motion:
+    """Simulate a UR10 with a `load` [kg] 5 cm beyond its flange; `scale` turns torque into effort.
+
+    The joint `only` moves alone.
+    """
     robot = load_robot(UR10, SETTINGS)
     model, t = robot.model.copy(), np.arange(0.0, SECONDS, 1.0 / RATE_HZ)
     model.appendBodyToJoint(
         6, pin.Inertia(load, np.array([0.0, 0.14, 0.0]), 1e-3 * load * np.eye(3)), pin.SE3.Identity()
     )
-    data, w = model.createData(), moves * np.array([0.5, 0.8, 1.1, 1.7, 1.4, 2.0])
+    data, w = model.createData(), np.array([0.5, 0.8, 1.1, 1.7, 1.4, 2.0])
     middle, size = np.array([0.0, -1.2, 1.0, -0.5, 0.7, 0.0]), np.array([0.5, 0.4, 0.5, 0.6, 0.6, 0.8])
+    size = size if only is None else size * (np.arange(6) == only)
     phase = np.outer(t, w) + np.arange(6)
     q, qd, qdd = middle + size * np.sin(phase), size * w * np.cos(phase), -size * w**2 * np.sin(phase)
     torque = np.array([pin.rnea(model, data, *row) for row in zip(q, qd, qdd, strict=True)])
@@ -100,7 +104,7 @@ def test_unstated_load_is_found_and_named() -> None:
 def test_stated_load_is_no_doubt() -> None:
     """Nor is one that is stated heavier than it is: `payload_mass` is the heaviest load."""
     for stated in (2.0, 5.0):
-        watcher = monitor(payload_mass=stated, payload_com=(0.0, 0.0, 0.05))
+        watcher = monitor(payload_mass=stated, payload_com=(0.05, 0.0, 0.0))
         assert not {Reason.UNSTATED_LOAD, Reason.HEAVIER_LOAD} & codes(watcher, motion(2.0))
         estimate = watcher.load_watch.estimate
         assert estimate is not None
@@ -116,6 +120,48 @@ def test_small_unstated_load_warns() -> None:
     assert Reason.HEAVIER_LOAD in found
     assert Reason.UNSTATED_LOAD not in found
     assert watcher.verdicts[Verdict.OK] < len(motion(1.0).stamps)
+
+
+def after(states: Motion, seconds: float) -> Motion:
+    return states._replace(stamps=states.stamps + round(1e9 * seconds))
+
+
+def test_a_load_that_grows_is_told_anew() -> None:
+    watcher = monitor(mass_uncertainty=0.9)
+    assert Reason.UNSTATED_LOAD not in codes(watcher, motion(1.0))
+    first = watcher.load_watch.doubt
+    assert first.reason is Reason.HEAVIER_LOAD
+    for part in range(1, 4):
+        last = codes(watcher, after(motion(12.0), part * SECONDS))
+    assert Reason.UNSTATED_LOAD in last
+    assert not {Reason.HEAVIER_LOAD, Reason.NONE} & last
+    found = re.search(r"a load of (\d+\.\d\d) kg", watcher.load_watch.doubt.text)
+    assert found
+    assert float(found[1]) == pytest.approx(12.0, abs=1.0)
+
+
+@pytest.mark.parametrize("joint", [0, 5])
+def test_motion_that_shows_nothing_ends_no_doubt(joint: int) -> None:
+    """Only the stated load ends it."""
+    watcher = monitor()
+    codes(watcher, motion(4.0))
+    alone = motion(4.0, only=joint)
+    for part in range(1, 4):
+        last = codes(watcher, after(alone, part * SECONDS))
+    assert Reason.UNSTATED_LOAD in last
+    assert not {Reason.HEAVIER_LOAD, Reason.NONE} & last
+    for part in range(4, 7):
+        last = codes(watcher, after(motion(0.0), part * SECONDS))
+    assert not {Reason.UNSTATED_LOAD, Reason.HEAVIER_LOAD} & last
+
+
+def test_stated_mass_at_another_place_is_told() -> None:
+    """The load of 2 kg is 5 cm beyond the flange, as stated, or was said to be 5 cm before it."""
+    for place, expected in ((0.05, Reason.NONE), (-0.05, Reason.UNSTATED_LOAD)):
+        watcher = monitor(payload_mass=2.0, payload_com=(place, 0.0, 0.0))
+        codes(watcher, motion(2.0))
+        assert watcher.load_watch.doubt.reason is expected
+    assert re.search(r"centre of mass: the moment is 0\.\d\d\d kg m off", watcher.load_watch.doubt.text)
 
 
 def test_no_load_and_no_effort_raise_no_doubt() -> None:
