@@ -140,6 +140,7 @@ def digest(path: Path, error: type[EffmassError]) -> str:
             files = sorted(file for file in path.rglob("*") if file.is_file())
             lines = (f"{digest(file, error)}  {file.relative_to(path).as_posix()}\n" for file in files)
             return hashlib.sha256("".join(lines).encode()).hexdigest()
+        check_regular_file(path, error)
         total = hashlib.sha256()
         with path.open("rb") as file:
             while part := file.read(2**20):

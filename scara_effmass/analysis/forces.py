@@ -195,6 +195,11 @@ class ForceTrace(NamedTuple):
     complete: bool = True
 
     @property
+    def reaches_onset(self) -> bool:
+        """Whether it has force after the onset."""
+        return bool(self.time.size and self.time[-1] > 0.0)
+
+    @property
     def duration(self) -> float | None:
         """Time above `LOW_SHARE` of the peak [s], None if the rising or falling edge is missing."""
         if not self.force.size:
@@ -347,7 +352,7 @@ def shown(
     speed: float | None = None,
 ) -> list[ShownTrace]:
     """Return the trace of an impact as a report shows it; none if the trace ends before the onset."""
-    if not (trace.time.size and trace.time[-1] > 0.0):
+    if not trace.reaches_onset:
         return []
     drawing = draw_trace(trace, predicted)
     return [ShownTrace(title, iso_time(stamp_ns), drawing, simulated, peak, predicted, speed)]

@@ -29,7 +29,7 @@ from scara_effmass.iso15066 import (
     reduced_mass,
     speed_limit_of_mass,
 )
-from scara_effmass.settings import ContactType, MonitorSettings, checked
+from scara_effmass.settings import ContactType, ImportSettings, MonitorSettings, checked
 from scara_effmass.settings.loading import FrozenSettings
 from scara_effmass.values import ContactAssessment, Vector3, Verdict
 
@@ -45,8 +45,9 @@ yaml-language-server: $schema=protocol.schema.json"""
 
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
-Area = Annotated[float, Field(gt=0.0, le=0.1)]
-"""Contact area [m2] in the range of the monitor's setting."""
+Force = Annotated[float, Field(ge=0.0, le=1e6)]
+Area = Annotated[float, Field(ge=1e-8, le=0.1)]
+"""Contact area [m2]."""
 Text = Annotated[str, Field(min_length=1)]
 
 
@@ -63,6 +64,14 @@ def optional(description: str) -> Any:  # noqa: ANN401 - as pydantic's Field
 def _known_region(name: str) -> str:
     limits_for(MonitorSettings(body_regions=(name,)))  # raises LimitError, a ValueError
     return name
+
+
+def _import_settings(values: dict[str, Any]) -> dict[str, Any]:
+    try:
+        checked(ImportSettings, values, "")
+    except SettingsError as error:
+        raise ValueError(str(error).removeprefix(": ")) from None
+    return values
 
 
 def _not_zero(vector: Vector3) -> Vector3:
@@ -148,9 +157,12 @@ class Repetition(FrozenSettings):
         "unit of the force in it: N, kN, lbf, kgf, V or mV; null: as the file states"
     )
     raw_offset_s: float | None = optional("time to add to the stamps in it [s], if it has another clock")
+    raw_import: Annotated[dict[str, Any], AfterValidator(_import_settings)] | None = optional(
+        "other settings of `scara-effmass import` that it needs, as {rate: 1000.0} or {sensor: {sensitivity: 2.31}}"
+    )
     reached_speed_m_s: Positive | None = stated("speed of the contact point at the onset [m/s]")
-    transient_peak_n: NotNegative | None = stated("largest force in the first 0.5 s [N]")
-    force_beyond_0_5_s_n: NotNegative | None = stated("largest force after the first 0.5 s [N]; 0: it had ended")
+    transient_peak_n: Force | None = stated("largest force in the first 0.5 s [N]")
+    force_beyond_0_5_s_n: Force | None = stated("largest force after the first 0.5 s [N]; 0: it had ended")
     duration_s: Positive | None = stated("time above 10 % of the peak [s]")
     peak_pressure_n_cm2: NotNegative | None = optional(
         "largest pressure, if it was measured [N/cm2]; otherwise force over area is judged"

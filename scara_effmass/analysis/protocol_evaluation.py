@@ -19,6 +19,8 @@ import numpy as np
 
 from scara_effmass.analysis.forces import (
     AFTER_S,
+    BEFORE_S,
+    LOW_SHARE,
     ForceTrace,
     ShownTrace,
     file_rise_ns,
@@ -42,7 +44,7 @@ from scara_effmass.errors import BagError, EffmassError, SettingsError
 from scara_effmass.impacts.agreement import region_force
 from scara_effmass.input_files import digest
 from scara_effmass.iso15066 import TABLE_HASH, TRANSIENT_S, Limit, limits_for
-from scara_effmass.settings import ContactType, ImportSettings, MonitorSettings
+from scara_effmass.settings import ContactType, ImportSettings, MonitorSettings, checked
 from scara_effmass.values import RefusedImpact, ValidatedImpact, Verdict, at_least
 
 RECORD = "report.json"
@@ -55,6 +57,8 @@ SPEED_TOLERANCE = 0.05
 """Share of the commanded speed by which a contact may be slower."""
 IDENTITY = ("model", "serial", "calibration_date", "calibration_due")
 """What is stated of an instrument that measures pressure or speed alone."""
+ROUNDING = 1e-3
+"""Relative difference of forces that are the same."""
 STIFFNESS_TOLERANCE = 0.1
 """Largest relative difference of stiffness with which a device stands for the body region."""
 
@@ -85,10 +89,14 @@ def _repetitions(
     folder: Path,
 ) -> Iterator[Repetition]:
     path = recording.files[-1]
+    stated = settings.model_dump(mode="json", exclude_defaults=True, exclude={"topic", "unit"})
     raw = {
         "raw_data": os.path.relpath(path.resolve(), folder.resolve()),
         "raw_sha256": digest(path, BagError),
+        "raw_channel": (settings.topic if recording.force_clock else recording.force_topic) or None,
+        "raw_unit": settings.unit or None,
         "raw_offset_s": recording.force_offset if recording.force_clock else None,
+        "raw_import": stated or None,
     }
     for contact, trace in zip(contacts, recording.force_traces(contacts, settings, MAX_CONTACT_S), strict=True):
         yield _repetition(contact, trace).model_copy(update=raw)
@@ -111,7 +119,7 @@ def _repetition(contact: ValidatedImpact | RefusedImpact, trace: ForceTrace) -> 
             "predicted_force_n": rounded(contact.predicted_force),
         }
     peak, beyond = measured, None
-    if trace.complete and trace.time.size and trace.time[-1] > 0.0:
+    if trace.complete and trace.reaches_onset:
         is_early = trace.time <= TRANSIENT_S
         early, late = trace.force[is_early], trace.force[~is_early]
         if late.size:
@@ -200,14 +208,19 @@ def evaluate(protocol: Protocol, test: ContactTest, folder: Path) -> Evaluation:
     values = _values(test, instrument) if instrument else {}
     ratio, relative = values.get("ratio"), values.get("uncertainty")
     reasons = list(_unknown_reasons(protocol, test, instrument, folder))
-    if ratio is None or relative is None:
+    if ratio is None:
         return Evaluation(verdict=Verdict.UNKNOWN.name, reasons=reasons or ("no force",), **values)
-    verdict = Verdict.OK if ratio * (1.0 + relative) <= 1.0 else Verdict.WARN if ratio <= 1.0 else Verdict.VIOLATION
-    return Evaluation(
-        verdict=(Verdict.UNKNOWN if reasons else verdict).name,
-        reasons=(f"{at_least(100.0 * ratio, 0)}% of the limit, ±{at_least(100.0 * ratio * relative, 0)}%", *reasons),
-        **values,
-    )
+    share = f"{at_least(100.0 * ratio, 0)}% of the limit"
+    if relative is not None:
+        share += f", ±{at_least(100.0 * ratio * relative, 0)}%"
+    is_simulated = any(item.simulated for item in test.results.repetitions)
+    if ratio > 1.0 and not is_simulated:  # what is doubtful besides makes it no safer
+        verdict = Verdict.VIOLATION
+    elif reasons or relative is None:
+        verdict = Verdict.UNKNOWN
+    else:
+        verdict = Verdict.OK if ratio * (1.0 + relative) <= 1.0 else Verdict.WARN
+    return Evaluation(verdict=verdict.name, reasons=(share, *reasons), **values)
 
 
 def overall(protocol: Protocol) -> Verdict:
@@ -223,7 +236,7 @@ def record(protocol: Protocol) -> dict[str, Any]:
 def _unknown_reasons(
     protocol: Protocol, test: ContactTest, instrument: Instrument | None, folder: Path
 ) -> Iterator[str]:
-    """Yield the reasons that make the verdict UNKNOWN."""
+    """Yield what is missing or doubtful: unless a limit is exceeded, it makes the verdict UNKNOWN."""
     repetitions, identity, motion = test.results.repetitions, protocol.identity, test.motion
     if any(item.simulated for item in repetitions):
         yield "simulated: nothing was measured on a robot"
@@ -241,7 +254,14 @@ def _unknown_reasons(
     for number, item in enumerate(repetitions, start=1):
         if (item.reached_speed_m_s or math.inf) < (1.0 - SPEED_TOLERANCE) * (motion.commanded_speed_m_s or 0.0):
             yield f"slower than commanded: contact {number}, {item.reached_speed_m_s:.3f} m/s"
+        duration_s, peak_n, held_n = item.duration_s or 0.0, item.transient_peak_n, item.force_beyond_0_5_s_n
+        is_held = duration_s > TRANSIENT_S + BEFORE_S and peak_n is not None
+        if is_held and held_n is not None and held_n < LOW_SHARE * (peak_n or 0.0):
+            yield f"duration and held force disagree: contact {number}, {duration_s:.3g} s, {held_n:.3g} N after 0.5 s"
     yield from _changed_data(repetitions, folder)
+    tolerance = instrument.force_uncertainty or 0.0 if instrument else 0.0
+    for _, group in groupby(enumerate(repetitions, start=1), lambda numbered: _source(numbered[1])):
+        yield from _raw_reasons(list(group), tolerance, folder)
     yield from (f"photo not found: {name}" for name in test.results.photos or () if not (folder / name).is_file())
 
 
@@ -301,8 +321,62 @@ def _changed_data(repetitions: tuple[Repetition, ...], folder: Path) -> Iterator
                 yield f"raw data changed: {name}"
 
 
+def _raw_reasons(contacts: list[tuple[int, Repetition]], tolerance: float, folder: Path) -> Iterator[str]:
+    """Yield where the raw data of contacts in one file is no force, or shows more than was entered.
+
+    `tolerance` is relative.
+    """
+    known = [(number, item) for number, item in contacts if item.time and item.transient_peak_n is not None]
+    name = contacts[0][1].raw_data
+    if not known or not name or not (folder / name).exists():
+        return  # named as missing, or as not found
+    try:
+        traces, _ = _raw_traces([item for _, item in known], folder, MAX_CONTACT_S)
+    except EffmassError as error:
+        yield f"raw data is no force: {str(error).removeprefix(f'{folder / name}: ')}"
+        return
+    for (number, item), trace in zip(known, traces, strict=True):
+        if not trace.reaches_onset:
+            yield f"raw data without force at the time of the contact: contact {number}, {name}"
+            continue
+        peak_n, held_n = item.transient_peak_n or 0.0, item.force_beyond_0_5_s_n or 0.0
+        is_early = trace.time <= TRANSIENT_S
+        for force, entered_n in (
+            (trace.force[is_early], peak_n),
+            (trace.force[~is_early], max(held_n, LOW_SHARE * peak_n)),
+        ):
+            if force.max(initial=0.0) > entered_n * (1.0 + max(tolerance, ROUNDING)):
+                text = f"{at_least(force.max(), 1)} N in {name}"
+                yield f"raw data shows more force than was entered: contact {number}, {text}"
+
+
+def _source(item: Repetition) -> tuple[object, ...]:
+    """Return where the force of a contact is."""
+    return item.raw_data, item.raw_offset_s, item.raw_channel, item.raw_unit, item.raw_import
+
+
+def _onset_ns(item: Repetition) -> int:
+    return round(item.time.timestamp() * 1e6) * 1000 if item.time else 0
+
+
+def _raw_traces(items: Sequence[Repetition], folder: Path, after_s: float) -> tuple[list[ForceTrace], bool]:
+    """Return the force of contacts in one file, as `file_traces`, and whether the file has a clock of its own.
+
+    Raises BagError, SettingsError.
+    """
+    first, onsets_ns = items[0], [_onset_ns(item) for item in items]
+    stated = (first.raw_import or {}) | {"topic": first.raw_channel or "", "unit": first.raw_unit or ""}
+    path, settings = folder / str(first.raw_data), checked(ImportSettings, stated, "raw_import")
+    traces = file_traces(path, settings, onsets_ns, after_s, first.raw_offset_s or 0.0)
+    if len(items) == 1 and first.raw_offset_s is None and not traces[0].reaches_onset:  # typed in by hand
+        rise_ns = file_rise_ns(path, settings)
+        if rise_ns is not None:
+            return file_traces(path, settings, onsets_ns, after_s, (onsets_ns[0] - rise_ns) / 1e9), True
+    return traces, False
+
+
 def _values(test: ContactTest, instrument: Instrument) -> dict[str, float | bool]:
-    """Return the numbers of the evaluation for which the protocol states enough."""
+    """Return the numbers of the evaluation for which the protocol states enough, or an excess."""
     point, repetitions = test.point, test.results.repetitions
     values: dict[str, float | bool] = {}
     budget = uncertainty(test, instrument)
@@ -325,22 +399,24 @@ def _values(test: ContactTest, instrument: Instrument) -> dict[str, float | bool
     values["transient_limit_n"] = transient.force_n if all_measured else transient.permissible_force_n
     held_measured = all_measured and pressure_limit is held
     values["quasi_static_limit_n"] = held.force_n if held_measured else held.permissible_force_n
-    judged = [_judged_force(transient, instrument, item) for item in repetitions]
+    judged = [force for item in repetitions if (force := _judged_force(transient, instrument, item)) is not None]
     later = [item.force_beyond_0_5_s_n for item in repetitions if item.force_beyond_0_5_s_n is not None]
-    if not judged or None in judged or len(later) < len(judged) or instrument.stiffness_n_m is None:
-        return values
-    is_converted = any(item.effective_mass_kg for item in repetitions)
-    values["converted"] = is_converted and not _stands_for(instrument.stiffness_n_m, transient)
-    values["judged_force_n"], values["held_force_n"] = max(filter(None, judged), default=0.0), max(later)
-    ratios = [
-        values["judged_force_n"] / values["transient_limit_n"],
-        values["held_force_n"] / values["quasi_static_limit_n"],
-    ]
+    ratios = []
+    judging: dict[str, float | bool] = {}
+    if judged and instrument.stiffness_n_m:
+        is_converted = any(item.effective_mass_kg for item in repetitions)
+        judging["converted"] = is_converted and not _stands_for(instrument.stiffness_n_m, transient)
+        judging["judged_force_n"] = max(judged)
+        ratios.append(judging["judged_force_n"] / values["transient_limit_n"])
+    if later:
+        judging["held_force_n"] = max(later)
+        ratios.append(judging["held_force_n"] / values["quasi_static_limit_n"])
     if pressures:
-        values["pressure_n_cm2"], values["pressure_limit_n_cm2"] = max(pressures), pressure_limit.pressure_n_cm2
+        judging |= {"pressure_n_cm2": max(pressures), "pressure_limit_n_cm2": pressure_limit.pressure_n_cm2}
         ratios.append(max(pressures) / pressure_limit.pressure_n_cm2)
-    values["ratio"] = max(ratios)
-    return values
+    judging["ratio"] = max(ratios, default=0.0)
+    is_complete = bool(repetitions) and len(judged) == len(later) == len(repetitions)
+    return values | judging if is_complete or judging["ratio"] > 1.0 else values
 
 
 def _limits(region: str, area_m2: float, contact: ContactType | None) -> tuple[Limit, Limit]:
@@ -420,22 +496,17 @@ class CurveNote(NamedTuple):
 
 
 class Contact(NamedTuple):
-    """Contact of a test in a report, and its onset."""
+    """Contact of a test in a report."""
 
     title: str
-    onset_ns: int
     item: Repetition
-
-    def source(self) -> tuple[str | None, float | None, str | None, str | None]:
-        """Return where its force is."""
-        return self.item.raw_data, self.item.raw_offset_s, self.item.raw_channel, self.item.raw_unit
 
     def shown(self, trace: ForceTrace) -> list[ShownTrace]:
         """Return the curve, none if the trace ends before the onset."""
         item = self.item
         return shown(
             self.title,
-            self.onset_ns,
+            _onset_ns(item),
             trace,
             simulated=bool(item.simulated),
             peak=item.transient_peak_n or 0.0,
@@ -448,39 +519,29 @@ def _traces(protocol: Protocol, folder: Path) -> Iterator[ShownTrace | CurveNote
     """Yield the force over time of each contact, or why there is none."""
     for test in protocol.tests:
         entries = [
-            Contact(f"{test.id}, {number}", round(item.time.timestamp() * 1e6) * 1000, item)
+            Contact(f"{test.id}, {number}", item)
             for number, item in enumerate(test.results.repetitions, start=1)
             if item.time and item.transient_peak_n is not None
         ]
-        for _, group in groupby(entries, Contact.source):
+        for _, group in groupby(entries, lambda contact: _source(contact.item)):
             yield from _curves(list(group), folder)  # of one file, so that it is read once
 
 
 def _curves(contacts: list[Contact], folder: Path) -> Iterator[ShownTrace | CurveNote]:
     """Yield the curves of contacts whose force is in one file."""
-    name, offset_s, channel, unit = contacts[0].source()
+    name = contacts[0].item.raw_data
     if name is None:
         yield from (CurveNote(contact.title, "", "no raw data is named") for contact in contacts)
         return
-    path, settings = folder / name, ImportSettings(topic=channel or "", unit=unit or "")
-    onsets_ns = [contact.onset_ns for contact in contacts]
     try:
-        curves = [
-            contact.shown(trace)
-            for contact, trace in zip(
-                contacts, file_traces(path, settings, onsets_ns, AFTER_S, offset_s or 0.0), strict=True
-            )
-        ]
-        if len(contacts) == 1 and offset_s is None and not curves[0]:  # typed in by hand, with a clock of its own
-            rise_ns = file_rise_ns(path, settings)
-            if rise_ns is not None:
-                own = file_traces(path, settings, onsets_ns, AFTER_S, (onsets_ns[0] - rise_ns) / 1e9)
-                curves = [contacts[0].shown(own[0])]
-                yield CurveNote(contacts[0].title, name, "drawn from its rise on, because the file has another clock")
+        traces, is_own_clock = _raw_traces([contact.item for contact in contacts], folder, AFTER_S)
     except EffmassError as error:
-        reason = str(error).removeprefix(f"{path}: ")
+        reason = str(error).removeprefix(f"{folder / name}: ")
         yield from (CurveNote(contact.title, name, reason) for contact in contacts)
         return
+    if is_own_clock:
+        yield CurveNote(contacts[0].title, name, "drawn from its rise on, because the file has another clock")
+    curves = [contact.shown(trace) for contact, trace in zip(contacts, traces, strict=True)]
     for contact, curve in zip(contacts, curves, strict=True):
         yield from curve
         if not curve:

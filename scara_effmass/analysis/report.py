@@ -196,8 +196,8 @@ def setting_rows(
 
 
 def file_hashes(paths: Iterable[Path]) -> list[tuple[str, str]]:
-    """Return path and SHA-256 of each existing one of `paths`. Raises OutputError."""
-    return [(str(path), digest(path, OutputError)) for path in dict.fromkeys(paths) if path.exists()]
+    """Return path and SHA-256 of each of `paths` that is a file or folder. Raises OutputError."""
+    return [(str(path), digest(path, OutputError)) for path in dict.fromkeys(paths) if path.is_file() or path.is_dir()]
 
 
 def find_browser() -> str:

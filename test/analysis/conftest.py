@@ -23,7 +23,12 @@ from scara_effmass.wire.message_types import FORCE_BLOCK, RUN_INFO
 from scara_effmass.wire.run_info import decode_run_info, run_info_message
 
 MASSES = (0.5, 7.35)
-RAW = b"force"
+ONSET_S = 1_772_614_800
+"""Onset of the first contact of `content`, 2026-03-04 9:00 UTC."""
+RAW = "\n".join(
+    ["Time (s),Force (N)", *(f"{ONSET_S + i / 100:.2f},{0.5 * (i % 100 == 1)}" for i in range(-2, 300))]
+).encode()
+"""Force of the contacts of `content`, one a second."""
 
 
 class Altered(Protocol):

@@ -57,7 +57,8 @@ def leaves(item: BaseModel, path: tuple[str | int, ...] = ()) -> Iterator[tuple[
 
 PREDICTED = ("effective_mass_kg", "reduced_mass_kg", "predicted_force_n")
 OPTIONAL = {
-    *("moving_mass_kg", "peak_pressure_n_cm2", "raw_offset_s", "raw_channel", "raw_unit", *PREDICTED),
+    *("moving_mass_kg", "peak_pressure_n_cm2", *PREDICTED),
+    *("raw_offset_s", "raw_channel", "raw_unit", "raw_import"),
     *("report_number", "report_date", "site", "cell", "temperature_c", "certificate", "hazard_id", "tool"),
     *("pressure_instrument", "speed_instrument"),
 }
@@ -207,6 +208,7 @@ def test_a_missing_prediction_never_improves_the_verdict(
     assert rank(known) <= rank(unpredicted(content(peak_n)))
 
 
+LIGHT = {"transient_peak_n": 0.6, "force_beyond_0_5_s_n": 0.0}
 CHANGES: dict[str, dict[str, Any]] = {
     "another table of limits": {"identity": {"limits_hash": "0"}},
     "not calibrated on the day of the test": {"instruments": [{"calibration_due": "2026-03-03"}]},
@@ -222,6 +224,21 @@ CHANGES: dict[str, dict[str, Any]] = {
     "simulated": {"tests": [{"results": {"repetitions": [{"simulated": True}]}}]},
     "raw data not found": {"tests": [{"results": {"repetitions": [{"raw_data": "lost.csv"}]}}]},
     "raw data changed": {"tests": [{"results": {"repetitions": [{"raw_sha256": 64 * "0"}]}}]},
+    "raw data is no force: topic = Kraft (N)": {
+        "tests": [{"results": {"repetitions": [{"raw_channel": "Kraft (N)"}]}}]
+    },
+    "raw data without force at the time of the contact: contact 1": {
+        "tests": [{"results": {"repetitions": [{"raw_offset_s": -60.0}]}}]
+    },
+    "raw data shows more force than was entered: contact 3, 0.5 N": {
+        "tests": [{"results": {"repetitions": [{}, {}, {"transient_peak_n": 0.4}]}}]
+    },
+    "raw data shows more force than was entered: contact 2, 0.5 N": {
+        "tests": [{"results": {"repetitions": [{}, {"raw_offset_s": 0.7, **LIGHT}]}}]
+    },
+    "duration and held force disagree: contact 2, 3 s, 9 N": {
+        "tests": [{"results": {"repetitions": [{}, {"duration_s": 3.0, "force_beyond_0_5_s_n": 9.0}]}}]
+    },
 }
 
 
@@ -230,6 +247,19 @@ def test_what_is_doubtful_is_unknown(doubt: str, folder: Path) -> None:
     evaluation = result(changed(content(), CHANGES[doubt]), folder)
     assert evaluation.verdict == "UNKNOWN"
     assert any(reason.startswith(doubt) for reason in evaluation.reasons), evaluation.reasons
+
+
+@pytest.mark.parametrize("doubt", [*CHANGES, "missing: tests.1.results.photos", "missing: instruments.device.force_un"])
+def test_what_is_doubtful_does_not_hide_an_excess(doubt: str, folder: Path) -> None:
+    values = changed(content(300.0), CHANGES.get(doubt, {}))
+    values["tests"][0]["results"]["repetitions"][1]["transient_peak_n"] = 600.0
+    if "photos" in doubt:
+        values["tests"][0]["results"]["photos"] = None
+    if "force_un" in doubt:
+        values["instruments"][0]["force_uncertainty"] = None
+    evaluation = result(values, folder)
+    is_judged = doubt not in {"simulated", "unknown instrument", "missing: instruments.device.moving_mass_kg"}
+    assert evaluation.verdict == ("VIOLATION" if is_judged else "UNKNOWN"), evaluation.reasons
 
 
 def test_each_quantity_may_have_an_instrument_of_its_own_which_must_be_calibrated(folder: Path) -> None:
