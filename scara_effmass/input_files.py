@@ -5,6 +5,7 @@ import hashlib
 import re
 import reprlib
 import stat
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,23 @@ _MAX_YAML_DEPTH, _MAX_YAML_VALUES = 20, 20_000
 _MAX_INTEGER = 2**63
 YAML_ERRORS = (yaml.YAMLError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 """Errors that `yaml.safe_load`, and reading its result, raise on an arbitrary or damaged file."""
+
+
+_INPUTS: ContextVar[tuple[Path, ...]] = ContextVar("inputs", default=())
+
+
+def protect_inputs(*paths: Path) -> None:
+    """Let `check_not_input` refuse `paths`, the input of the running command, in this context."""
+    _INPUTS.set((*_INPUTS.get(), *paths))
+
+
+def check_not_input(path: Path, error: type[EffmassError]) -> None:
+    """Raise `error` if the output `path` is an input of the running command, also by another name, or holds one."""
+    for item in _INPUTS.get():
+        if path.resolve() in (resolved := item.resolve(), *resolved.parents) or (
+            path.exists() and item.exists() and path.samefile(item)
+        ):
+            raise error(f"{path}: must not be the input {item}")
 
 
 def check_regular_file(path: Path, error: type[EffmassError]) -> None:

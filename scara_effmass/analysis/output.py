@@ -8,15 +8,30 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from scara_effmass.errors import OutputError
+from scara_effmass.input_files import check_not_input
 from scara_effmass.url import Url
 
+MARKS = {".parquet": b"PAR1", ".pdf": b"%PDF", ".png": b"\x89PNG", ".svg": b"<svg"}
+"""What a file of this suffix holds near its beginning."""
+HEAD_BYTES = 65536
 
-def check_output_path(path: Path, *, overwrite: bool) -> None:
-    """Raise OutputError if `path` is a folder, a device or a pipe, or exists and must not be replaced."""
+
+def check_output_path(path: Path, *, overwrite: bool, mark: bytes = b"") -> None:
+    """Raise OutputError if `path` is a folder, a device or a pipe, or exists and must not be replaced.
+
+    An input of the command is never replaced, nor a file with content but without `mark` (default: by suffix) near its
+    beginning, which is of another kind.
+    """
     if path.exists() and not path.is_file():
         raise OutputError(f"{path}: is a folder, a device or a pipe; must be a file")
     if path.exists() and not overwrite:
         raise OutputError(f"{path}: already exists; use --force to replace it")
+    if path.exists():
+        check_not_input(path, OutputError)
+        with path.open("rb") as file:
+            head = file.read(HEAD_BYTES)
+        if head and (mark or MARKS.get(path.suffix, b"")) not in head:
+            raise OutputError(f"{path}: is not a file of this kind and is not replaced")
 
 
 def check_output_files(folder: Path, names: Iterable[str], *, overwrite: bool) -> None:
@@ -28,12 +43,12 @@ def check_output_files(folder: Path, names: Iterable[str], *, overwrite: bool) -
 
 
 @contextmanager
-def atomic_file(path: Path, *, overwrite: bool) -> Iterator[Path]:
+def atomic_file(path: Path, *, overwrite: bool, mark: bytes = b"") -> Iterator[Path]:
     """Yield a temporary path to write to, which becomes `path` at the end, or is removed after an error.
 
-    Missing parent folders are created. Raises OutputError.
+    Missing parent folders are created. An existing file must have `mark`. Raises OutputError.
     """
-    check_output_path(path, overwrite=overwrite)
+    check_output_path(path, overwrite=overwrite, mark=mark)
     if isinstance(path, Url):
         with TemporaryDirectory() as folder:
             unfinished = Path(folder) / path.name
@@ -49,7 +64,7 @@ def atomic_file(path: Path, *, overwrite: bool) -> Iterator[Path]:
         path.parent.mkdir(parents=True, exist_ok=True)
         unfinished.touch()
         yield unfinished
-        check_output_path(path, overwrite=overwrite)
+        check_output_path(path, overwrite=overwrite, mark=mark)
         unfinished.replace(path)
     except OutputError:
         raise

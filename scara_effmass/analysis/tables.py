@@ -101,7 +101,7 @@ def open_writer(path: Path, origin: Mapping[str, str], frame: str, *, overwrite:
             yield _BagWriter(bag, origin, frame)
         return
     with (
-        atomic_file(path, overwrite=overwrite) as unfinished,
+        atomic_file(path, overwrite=overwrite, mark=b"scara_effmass_version" * (path.suffix == ".csv")) as unfinished,
         unfinished.open("wb") as file,
         open_table(file, path.suffix, SCHEMA if path.suffix == ".csv" else _ENCODED, origin) as table,
     ):

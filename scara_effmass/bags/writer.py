@@ -16,7 +16,7 @@ from secrets import token_hex
 from typing import IO, Any, final
 
 import yaml
-from mcap.writer import CompressionType, Writer
+from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 from rosbags.typesys.store import Typestore
 from typing_extensions import Self
 
@@ -25,7 +25,7 @@ from scara_effmass.bags.definitions import definition_of, known_types
 from scara_effmass.bags.files import METADATA, bag_files, is_rosbag2_folder
 from scara_effmass.bags.mcap_bag import HASH_KEY, QOS_KEY
 from scara_effmass.errors import OutputError
-from scara_effmass.input_files import YAML_ERRORS
+from scara_effmass.input_files import YAML_ERRORS, check_not_input
 from scara_effmass.values import JointState
 from scara_effmass.wire.joint_state import joint_state_message
 from scara_effmass.wire.message_types import JOINT_STATE
@@ -134,8 +134,9 @@ def check_output(path: Path, *, overwrite: bool) -> None:
         return
     if not overwrite:
         raise OutputError(f"{path}: already exists; use --force to replace it")
+    check_not_input(path, OutputError)
     try:
-        is_replaceable = path.is_file() if path.suffix == ".mcap" else _is_only_a_bag(path)
+        is_replaceable = _is_mcap(path) if path.suffix == ".mcap" else _is_only_a_bag(path)
         is_busy = is_replaceable and any(map(is_being_written, bag_files(path) if path.is_dir() else [path]))
     except OSError as error:
         raise OutputError(f"{path}: cannot be read: {error.strerror}") from None
@@ -155,6 +156,14 @@ def is_being_written(path: Path) -> bool:
         except OSError:  # this file system has no locks
             return False
     return False
+
+
+def _is_mcap(path: Path) -> bool:
+    """Return whether a file is MCAP, or empty. Raises OSError."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return file.read(len(MCAP0_MAGIC)) in {MCAP0_MAGIC, b""}
 
 
 def _is_only_a_bag(folder: Path) -> bool:

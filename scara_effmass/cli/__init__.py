@@ -2,6 +2,7 @@
 """Command line. The module of a command is imported only when the command runs."""
 
 import argparse
+import contextvars
 import os
 import signal
 import sys
@@ -9,19 +10,42 @@ from collections.abc import Sequence
 from functools import cache
 from importlib import import_module
 from io import BufferedWriter, FileIO, TextIOWrapper
+from textwrap import fill
 from types import FrameType
 from typing import Any, NoReturn
 
 from scara_effmass import __version__
 from scara_effmass.cli.commands import COMMANDS, GROUPS, HELP, MODULES, ROS_COMMANDS
-from scara_effmass.cli.options import Option
+from scara_effmass.cli.options import Option, inputs_of
 from scara_effmass.errors import EffmassError
 from scara_effmass.extras import missing_extra
+from scara_effmass.input_files import protect_inputs
 
 PURPOSE = "Assess a robot's effective mass by ISO/TS 15066, measure impacts, and validate the predictions."
 BROKEN_PIPE, INPUT_ERROR, INTERRUPTED, TERMINATED = 1, 2, 130, 143
 """Exit codes; 130 and 143 are what a shell reports after SIGINT and SIGTERM."""
 STDOUT = "stdout"
+NAME_WIDTH = 14
+LIST_INDENT = NAME_WIDTH + 3
+"""Columns of the list of commands."""
+
+
+class _HelpFormatter(argparse.RawDescriptionHelpFormatter):
+    def _fill_text(self, text: str, width: int, indent: str) -> str:  # noqa: ARG002 - as the base class
+        """Wrap paragraphs to the terminal, and lists of commands below their texts; keep examples."""
+        filled = []
+        for paragraph in text.strip().split("\n\n"):
+            lines = paragraph.splitlines()
+            if any(line.startswith(" ") for line in lines):
+                lines = [line if "scara-effmass " in line else _wrapped(line, width, LIST_INDENT) for line in lines]
+            else:
+                lines = [_wrapped(" ".join(lines), width)]
+            filled.append("\n".join(lines))
+        return "\n\n".join(filled)
+
+
+def _wrapped(text: str, width: int, indent: int = 0) -> str:
+    return fill(text, width, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False)
 
 
 class _Parser(argparse.ArgumentParser):
@@ -65,7 +89,7 @@ def _parse_and_run(argv: Sequence[str] | None) -> int:
         parser.error(f"{ros_arguments[0]}: this command takes no ROS arguments")
     previous_handler = signal.signal(signal.SIGTERM, _terminate)
     try:
-        return _run(MODULES.get(name, name), parsed)
+        return contextvars.copy_context().run(_run, MODULES.get(name, name), parsed)
     finally:
         signal.signal(signal.SIGTERM, previous_handler)
 
@@ -95,6 +119,7 @@ def _explained(error: BaseException) -> tuple[str, int]:
 
 def _run(module: str, parsed: argparse.Namespace) -> int:
     """Run the command of `module` and return its exit code. Raises EffmassError, also for a missing extra."""
+    protect_inputs(*inputs_of(parsed))
     try:
         code: int = import_module(f"scara_effmass.cli.{module}").run(parsed)
     except ModuleNotFoundError as error:
@@ -146,13 +171,15 @@ def _split(argv: list[str]) -> tuple[list[str], list[str]]:
 def make_parser() -> argparse.ArgumentParser:
     """Return the parser of all commands."""
     summaries = GROUPS | {name: command.summary for name, command in COMMANDS.items()}
-    lists = (f"{group}:\n" + "".join(f"  {name:<14} {summaries[name]}\n" for name in HELP[group]) for group in HELP)
+    lists = (
+        f"{group}:\n" + "".join(f"  {name:<{NAME_WIDTH}} {summaries[name]}\n" for name in HELP[group]) for group in HELP
+    )
     parser = _Parser(
         prog="scara-effmass",
         usage="%(prog)s [-h] [--version] COMMAND ...",
         description="\n".join((PURPOSE, "", *lists)),
         epilog="'scara-effmass COMMAND --help' gives a command's options and examples. Invalid input exits with 2.",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        formatter_class=_HelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"scara-effmass {__version__}")
     # The description lists the commands.
@@ -168,7 +195,7 @@ def make_parser() -> argparse.ArgumentParser:
             help=command.summary,
             description=command.summary,
             epilog=command.epilog,
-            formatter_class=argparse.RawDescriptionHelpFormatter,
+            formatter_class=_HelpFormatter,
         )
         subparser.set_defaults(command=name)
         for item in command.options:

@@ -28,7 +28,7 @@ from scara_effmass.studies.evidence import (
 def run(args: argparse.Namespace) -> int:
     """Simulate the impacts that the table lacks, write the report, and print a summary."""
     table = args.output / TABLE
-    check_output_path(table, overwrite=True)  # what exists is continued
+    check_output_path(table, overwrite=True, mark=b"index," * args.force)  # what exists is continued
     reports = [PAGE, SUMMARY, *figure_files([FIGURE])]
     check_output_files(args.output, reports, overwrite=args.force or table.exists())
     if args.force:

@@ -4,7 +4,7 @@
 import argparse
 
 from scara_effmass.analysis.identification import HEADINGS, identify
-from scara_effmass.analysis.output import check_output_files
+from scara_effmass.analysis.output import check_output_files, check_output_path
 from scara_effmass.cli.console import print_result, print_table
 from scara_effmass.cli.options import monitor_settings, require_no_payload_topic, robot_line
 from scara_effmass.errors import RobotError
@@ -22,8 +22,8 @@ def run(args: argparse.Namespace) -> int:
         from scara_effmass.analysis import report  # noqa: PLC0415 - matplotlib, an extra
         from scara_effmass.analysis.identification_figure import draw_identification  # noqa: PLC0415
 
-        names = [*report.figure_files([NAME]), RESULT, corrected]
-        check_output_files(args.output, names, overwrite=args.force)
+        check_output_files(args.output, [*report.figure_files([NAME]), RESULT], overwrite=args.force)
+        check_output_path(args.output / corrected, overwrite=args.force, mark=b"identified by scara-effmass")
     found = identify(args.bag, settings, args.topic)
     result, lines = found.as_dict(), [robot_line(found.robot, settings), *found.lines()]
     is_fit = not found.estimate.unfit

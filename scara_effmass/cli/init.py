@@ -6,7 +6,6 @@ import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from shlex import quote
 from textwrap import wrap
 from typing import Any
 
@@ -21,7 +20,7 @@ from scara_effmass.analysis.summary import Summary
 from scara_effmass.bags.files import open_bag
 from scara_effmass.cli.console import print_lines, print_table, progress_bar
 from scara_effmass.cli.doctor import cell_results, tightest
-from scara_effmass.cli.options import Option, monitor_settings, options_of, robot_line
+from scara_effmass.cli.options import Option, monitor_settings, options_of, robot_line, shell_path
 from scara_effmass.codes import Assumption
 from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.iso15066 import BODY_REGIONS
@@ -33,6 +32,8 @@ from scara_effmass.settings import WHOLE_ARM, DaqSettings, MonitorSettings, Vali
 from scara_effmass.settings.loading import flat_fields
 from scara_effmass.wire.topics import JOINT_STATES
 
+MARK = b"ros__parameters:"
+"""What a parameter file holds."""
 UNASKED = {"payload_topic", "joint_names", "joint_limits", "velocity_source", "velocity_window", "contact_normal"}
 UNASKED |= {"armature", "drives", "person_direction", "accept_assumptions", "max_joint_acceleration", "reaction_time"}
 UNASKED |= {"contact_damping", "contact_friction"}
@@ -46,7 +47,7 @@ SHOWN += ["payload_shape", "tool_links", "armature", "locked_joints", "contact_l
 
 def run(args: argparse.Namespace) -> int:
     """Ask for what is missing if stdin is a terminal, assess the recording, and write the file."""
-    check_output_path(args.output, overwrite=args.force)
+    check_output_path(args.output, overwrite=args.force, mark=MARK)
     args.params = None
     settings, dynamics = _checked(args)
     if sys.stdin.isatty():
@@ -66,12 +67,12 @@ def run(args: argparse.Namespace) -> int:
         unknown = summary.only_unknown
         if topic.lstrip("/") != JOINT_STATES:
             notes.append(f"Joint states of {args.bag}: monitor --params FILE -- -r joint_states:={topic}")
-    with atomic_file(args.output, overwrite=args.force) as path:
+    with atomic_file(args.output, overwrite=args.force, mark=MARK) as path:
         path.write_text(_cell(settings, notes), encoding="utf-8")
     lines += [("assumed", text) for _, text in assumptions.lines]
-    next_step = f"scara-effmass doctor --params {quote(str(args.output))}"
+    next_step = f"scara-effmass doctor --params {shell_path(args.output)}"
     if dynamics.robot.hulls:
-        next_step += f" --hulls {quote(str(args.output.with_name('hulls.png')))}"
+        next_step += f" --hulls {shell_path(args.output.with_name('hulls.png'))}"
     print_lines([*lines, ("written", args.output), ("next", next_step)])
     usual, worth = worth_of(settings, dynamics, assumptions)
     rows = [(*row[:3], "" if row.change is None else f"{row.change:+.3f}") for row in worth]

@@ -9,10 +9,11 @@ import re
 from collections.abc import Callable, Collection, Iterator, Mapping
 from enum import Enum
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 from scara_effmass.errors import SettingsError
-from scara_effmass.input_files import read_table
+from scara_effmass.input_files import protect_inputs, read_table
 from scara_effmass.iso15066 import MIN_EFFECTIVE_MASS
 from scara_effmass.settings import (
     DaqSettings,
@@ -24,7 +25,7 @@ from scara_effmass.settings import (
     load_settings,
 )
 from scara_effmass.settings.loading import Settings, flat_fields, number_rule
-from scara_effmass.url import location
+from scara_effmass.url import Url, location
 
 if TYPE_CHECKING:
     from scara_effmass.model.robot import Robot
@@ -101,6 +102,18 @@ def _plane(text: str) -> tuple[int, float]:
     return "xyz".index(axis), number("AXIS=M with a number M", math.isfinite)(value)
 
 
+def _path(text: str) -> Path:
+    """Return a path; an empty one would be the current folder."""
+    if not text:
+        raise argparse.ArgumentTypeError("must not be empty")
+    return Path(text)
+
+
+def _location(text: str) -> Path:
+    _path(text)
+    return location(text)
+
+
 def _name(text: str) -> str:
     """Return a name that can be a folder."""
     if not re.fullmatch(r"[\w.-]+", text):
@@ -114,8 +127,8 @@ NUMBER = number("a number", lambda _: True)
 TYPES: Mapping[str, Callable[[str], object]] = {
     "int": int,
     "float": float,
-    "path": Path,
-    "location": location,
+    "path": _path,
+    "location": _location,
     "name": _name,
     "words": lambda text: text.split(","),
     "plane": _plane,
@@ -149,6 +162,29 @@ def options_of(*items: str | Mapping[str, Mapping[str, Any]]) -> Iterator[Option
             yield from (Option(names, keywords) for names, keywords in item.items())
 
 
+OUTPUTS = {"output", "out", "report", "hulls"}
+"""Paths that a command writes."""
+
+
+def inputs_of(args: argparse.Namespace) -> Iterator[Path]:
+    """Yield the files and folders that a command reads, with --force also the recordings in the folders."""
+    read = {name: value for name, value in vars(args).items() if name not in OUTPUTS}
+    if args.command == "protocol fill":
+        del read["protocol"]  # rewritten
+    robots = read.pop("robot", None) or []
+    for value in (*read.values(), [Path(robot) for robot in ([robots] if isinstance(robots, str) else robots)]):
+        for path in value if isinstance(value, list) else [value]:
+            if isinstance(path, Path):
+                yield path
+                if getattr(args, "force", False) and not isinstance(path, Url) and path.is_dir():
+                    yield from (file for file in path.rglob("*") if file.suffix in {".mcap", ".db3", ".bag"})
+
+
+def shell_path(path: Path) -> str:
+    """Return `path` as a word of a command line, which is no option."""
+    return quote(f"./{path}" if str(path).startswith("-") else str(path))
+
+
 def monitor_settings(
     args: argparse.Namespace,
     others: Collection[str] = (),
@@ -159,7 +195,10 @@ def monitor_settings(
     A parameter file with sections of the nodes `others` only leaves the defaults. Raises SettingsError.
     """
     settings = load_settings(MonitorSettings, args.params, "monitor", others) if args.params else MonitorSettings()
-    return override(settings, {name: getattr(args, name, None) for name in MonitorSettings.model_fields} | overrides)
+    chosen = {name: getattr(args, name, None) for name in MonitorSettings.model_fields}
+    settings = override(settings, chosen | overrides)
+    protect_inputs(Path(settings.robot_path))
+    return settings
 
 
 def selected(args: argparse.Namespace, *groups: str) -> dict[str, Any]:

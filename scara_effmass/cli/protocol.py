@@ -31,6 +31,7 @@ from scara_effmass.cli.options import (
     override,
     require_no_payload_topic,
     robot_line,
+    shell_path,
 )
 from scara_effmass.cli.validate import validated, validation_settings
 from scara_effmass.errors import RobotError, SettingsError
@@ -40,6 +41,8 @@ from scara_effmass.settings import ContactType, MonitorSettings
 from scara_effmass.values import Verdict
 
 NOT_OK = 1
+MARK = b"tests:"
+"""What a protocol holds."""
 BASE_AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
@@ -55,7 +58,7 @@ def _schema(_: argparse.Namespace) -> int:
 
 
 def _init(args: argparse.Namespace) -> int:
-    check_output_path(args.output, overwrite=args.force)
+    check_output_path(args.output, overwrite=args.force, mark=MARK)
     settings = monitor_settings(args)
     if args.map:
         if args.recording:
@@ -68,7 +71,7 @@ def _init(args: argparse.Namespace) -> int:
     if args.map:
         _add_workspace(plan, args, monitor_settings(args, **AS_SAMPLED), dynamics)
     protocol = plan.protocol(dynamics.robot.name)
-    with atomic_file(args.output, overwrite=args.force) as path:
+    with atomic_file(args.output, overwrite=args.force, mark=MARK) as path:
         path.write_text(protocol_yaml(protocol), encoding="utf-8")
     lines = [robot_line(dynamics.robot, settings)]
     lines += [("test", f"{test.id}: {test.note}") for test in protocol.tests if test.note]
@@ -76,7 +79,7 @@ def _init(args: argparse.Namespace) -> int:
     lines += [("left out", f"{plan.at_rest} contacts at rest")] if plan.at_rest else []
     # The recordings come first: argparse would take --test for the end of them.
     test = f" --test {quote(protocol.tests[0].id)}" if len(protocol.tests) > 1 else ""
-    next_step = f"fill in the file, then: scara-effmass protocol fill {quote(str(args.output))} BAG{test}"
+    next_step = f"fill in the file, then: scara-effmass protocol fill {shell_path(args.output)} BAG{test}"
     result = {"output": str(args.output), **protocol.model_dump(mode="json")}
     print_result(result, [*lines, ("written", args.output), ("next", next_step)], as_json=args.json)
     return 0
@@ -112,12 +115,12 @@ def _add_workspace(plan: Plan, args: argparse.Namespace, settings: MonitorSettin
 def _fill(args: argparse.Namespace) -> int:
     target, folder = args.output or args.protocol, args.protocol.parent
     overwrite = args.force or target == args.protocol
-    check_output_path(target, overwrite=overwrite)
+    check_output_path(target, overwrite=overwrite, mark=MARK)
     protocol = read_protocol(args.protocol)
     if args.bags:
         protocol = _filled(args, protocol)
     protocol = evaluated(protocol, folder)
-    with atomic_file(target, overwrite=overwrite) as path:
+    with atomic_file(target, overwrite=overwrite, mark=MARK) as path:
         path.write_text(protocol_yaml(protocol), encoding="utf-8")
     return _printed(protocol, {"output": str(target)}, target, as_json=args.json)
 

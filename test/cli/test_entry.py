@@ -3,6 +3,7 @@
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -55,10 +56,24 @@ def test_help_has_an_example_of_the_command(command: str, capsys: pytest.Capture
     assert any(example.strip().startswith(f"scara-effmass {command}") for example in examples)
 
 
+@pytest.mark.parametrize("columns", [80, 120])
+@pytest.mark.parametrize("command", ["", *COMMANDS])
+def test_help_fits_into_the_terminal(
+    command: str, columns: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
+    with pytest.raises(SystemExit):
+        main([*command.split(), "--help"])
+    lines = [line for line in capsys.readouterr().out.splitlines() if not line.startswith("  scara-effmass ")]
+    assert max(map(len, lines)) <= columns
+    words = COMMANDS[command].epilog.partition("examples:")[0].split() if command else []
+    assert " ".join(words) in " ".join(" ".join(lines).split())
+
+
 def test_help_lists_every_command_in_one_group(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, match="0"):
         main(["--help"])
-    words = [line.split()[0] for line in capsys.readouterr().out.splitlines() if line.startswith("  ")]
+    words = [line.split()[0] for line in capsys.readouterr().out.splitlines() if re.match(r"  \S", line)]
     assert sorted(words) == sorted({*(name.split()[0] for name in COMMANDS), "-h,", "--version"})
 
 
@@ -179,7 +194,12 @@ def test_invalid_input_gives_one_line_and_exit_code_2(name: str, refused: Refuse
 
 @pytest.mark.parametrize(
     "command",
-    [["validate", "IN", "-o", "NAME"], ["map", "-o", "NAME"], ["record", "-o", "NAME"], ["record", "--repair", "NAME"]],
+    [
+        ["validate", "IN", "-o", "NAME"],
+        ["map", "-o", "NAME"],
+        pytest.param(["record", "-o", "NAME"], marks=pytest.mark.live),
+        ["record", "--repair", "NAME"],
+    ],
 )
 def test_path_that_the_system_refuses_gives_one_line(command: list[str], refused: Refused, swing_bag: Path) -> None:
     """As folders of other users do."""

@@ -212,7 +212,7 @@ def test_a_terminal_is_asked_for_the_map_only_where_names_differ(
 
 
 def test_existing_file_is_kept_without_force(cli: Cli, refused: Refused, tmp_path: Path) -> None:
-    (tmp_path / "cell.yaml").write_text("mine", encoding="utf-8")
+    (tmp_path / "cell.yaml").write_text("monitor: {ros__parameters: {}}", encoding="utf-8")
     assert refused("init") == "cell.yaml: already exists; use --force to replace it"
     assert cli("init", "--force").returncode == 0
     written = load_settings(MonitorSettings, tmp_path / "cell.yaml", "monitor")
