@@ -21,12 +21,12 @@ from scara_effmass.impacts.load import (
     HeldContact,
     LeftOuts,
     LoadLevel,
-    lasting_peak,
 )
 from scara_effmass.impacts.segment import (
     BASELINE_FRAMES,
     NOISE,
     RELEASE,
+    SINGLE_SAMPLE,
     Baseline,
     DetectedContact,
     Frame,
@@ -299,7 +299,14 @@ class Detector:
         """Add the samples [start, stop) to the contact that stays and to the slow change."""
         for contact in (self._held, self._slow):
             if contact is not None:
-                contact.extend(self._buffer.samples(start, stop), start)
+                self._extend_contact(contact, start, stop)
+
+    def _extend_contact(self, contact: HeldContact, start: int, stop: int) -> None:
+        """Add the samples [start, stop) to `contact`; count what it leaves out, unless a segment counts that."""
+        for index, force in contact.extend(self._buffer.samples(start, stop), start):
+            if index < self._held_from:
+                self.glitches += 1
+                self.left_out.add(SINGLE_SAMPLE, force, self._stamp_ns(index))
 
     def _unload(self, release: int) -> list[Impact]:
         """Continue at sample `release` without the load; return the contact that left it."""
@@ -315,9 +322,9 @@ class Detector:
         self._held_from = until
         stamp_ns = self._stamp_ns(first)
         if self._held is not None:
-            self._held.extend(samples, first)
+            self._extend_contact(self._held, first, until)
             return self._end_held() if self._held.takes_long(until) else []
-        peak = lasting_peak(samples)
+        peak = float(samples[np.isfinite(samples)].max(initial=-math.inf))
         if self._first_search:
             low, high, high_ns = self._unseen
             level = float(np.nanmedian(samples)) if np.isfinite(samples).any() else math.inf
@@ -365,7 +372,7 @@ class Detector:
         if not (baseline.noise > 0.0 or self._baseline.flat_run > BASELINE_FRAMES * self._frame_size):
             return []
         if self._held is not None:
-            self._held.extend(self._buffer.samples(self._held_from, self._processed), self._held_from)
+            self._extend_contact(self._held, self._held_from, self._processed)
         if self._first_search:
             self._count_unseen(baseline.force, baseline.threshold)
             # The recording may begin just before a load.
@@ -469,13 +476,13 @@ class Detector:
         first, level = self._processed - self._frame_size, 0.5 * (frame.low + frame.high)
         change = self._level.follow(level, self._frame_size / self._rate)
         if self._held is not None:
-            self._held.extend(self._buffer.samples(first, self._processed), first)
+            self._extend_contact(self._held, first, self._processed)
             if not self._level.load or self._held.takes_long(self._processed):
                 return self._end_held()
         if change < 0.0:
             self.left_out.add(EARLIER_LOAD, -change, self._stamp_ns(first))
         elif self._slow is not None:
-            self._slow.extend(self._buffer.samples(first, self._processed), first)
+            self._extend_contact(self._slow, first, self._processed)
             if change < RELEASE * self._settings.threshold:
                 self._end_slow()
         elif change > self._settings.threshold:
@@ -491,7 +498,7 @@ class Detector:
         press = DetectedContact(0, 0, 0.0, 0.0, change, 0.0, 0.0, complete=True)
         impact = self._impact(press, first)._replace(baseline=level - block.tare)
         self._rebound, self._end = rebound, end
-        return HeldContact(impact, level, RELEASE * self._settings.threshold, block.sample_rate)
+        return HeldContact(impact, level, self._settings.threshold, block.sample_rate)
 
     def _end_slow(self, *, at_once: bool = False) -> list[Impact]:
         """Count a slow change that is over, or whose end is not known; if it ended `at_once`, return it as a press.
@@ -614,7 +621,7 @@ class Detector:
         """Begin a contact whose force stays, which the samples from here on extend."""
         rate = self._buffer.block_at(start + contact.first).sample_rate
         impact = self._impact(contact._replace(end=contact.last + 1.0), start)
-        self._held = HeldContact(impact, self._baseline.force, RELEASE * self._baseline.threshold, rate)
+        self._held = HeldContact(impact, self._baseline.force, self._baseline.threshold, rate)
 
     def _impact(self, contact: DetectedContact, start: int) -> Impact:
         block = self._buffer.block_at(start + math.floor(contact.onset))

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from scara_effmass.impacts.segment import RELEASE, lone_samples
 from scara_effmass.iso15066 import TRANSIENT_S
 from scara_effmass.values import FloatArray, Impact, LeftOut
 
@@ -46,42 +47,54 @@ def left_out_text(item: LeftOut) -> str:
     return f"{item.occurrences}: {item.reason} (up to {item.peak_force:.1f} N)"
 
 
-def lasting_peak(force: FloatArray) -> float:
-    """Return the largest `force` (n,) [N] that two consecutive samples reach, because a single one can be a glitch."""
-    pairs = np.minimum(force[1:], force[:-1])
-    return float(pairs[np.isfinite(pairs)].max(initial=-math.inf))
-
-
 class HeldContact:
     """A contact whose force stays. It begins as `impact`, which was measured up to some sample; `extend` adds the rest.
 
-    `level` is the baseline [N] and `release` the force above it [N] below which there is no contact; `sample_rate` is
-    in [Hz].
+    `level` is the baseline and `threshold` the force above it [N] with which a contact begins; it ends below the share
+    RELEASE of that. `sample_rate` is in [Hz]. Single samples far from both neighbours do not count.
     """
 
-    def __init__(self, impact: Impact, level: float, release: float, sample_rate: float) -> None:
+    def __init__(self, impact: Impact, level: float, threshold: float, sample_rate: float) -> None:
         self._impact = impact
-        self._level, self._release, self._rate = level, release, sample_rate
+        self._level, self._threshold, self._rate = level, threshold, sample_rate
         self._transient_end = math.ceil(impact.onset_sample + TRANSIENT_S * sample_rate)
-        self._end = impact.onset_sample + impact.duration * sample_rate
-        self._seen = math.ceil(self._end)
+        self._seen = math.ceil(impact.onset_sample + impact.duration * sample_rate)
+        self._latest = np.full(1, math.nan)
+        """Latest sample that was added, and the one after it, which waits for its successor."""
 
-    def extend(self, samples: FloatArray, first: int) -> None:
-        """Add those of `samples` (n,) [N] that are new; the first one has the number `first`."""
-        force = samples[max(self._seen - first, 0) :] - self._level
-        first = max(self._seen, first)
-        self._seen = first + force.size
-        contact = np.flatnonzero(force > self._release)
+    def extend(self, samples: FloatArray, first: int) -> list[tuple[int, float]]:
+        """Add those of `samples` (n,) [N] that are new; the first one has the number `first`.
+
+        Returns number and force [N] of each single sample above the threshold that was left out.
+        """
+        missing = np.full(max(first - self._seen, 0), math.nan)
+        new = samples[max(self._seen - first, 0) :] - self._level
+        force = np.concatenate((self._latest, missing, new))
+        self._seen += missing.size + new.size
+        first = self._seen - force.size
+        if force.size < 3:
+            self._latest = force
+            return []
+        single = lone_samples(force, self._threshold)
+        left_out = [(first + i, float(force[i])) for i in single.tolist() if force[i] > self._threshold]
+        self._latest = force[-2:].copy()
+        force[single] = 0.5 * (force[single - 1] + force[single + 1])
+        self._impact = self._with(force[1:-1], first + 1)
+        return left_out
+
+    def _with(self, force: FloatArray, first: int) -> Impact:
+        """Return the contact with `force` (n,) [N] above the level, whose first sample has the number `first`."""
+        impact, force = self._impact, np.nan_to_num(force)
+        contact = np.flatnonzero(force > RELEASE * self._threshold)
         if not contact.size:
-            return
+            return impact
         stop = int(contact[-1]) + 1
         late = min(max(self._transient_end - first, 0), stop)
-        self._end = max(self._end, float(first + stop))
-        self._impact = self._impact._replace(
-            peak_force=max(self._impact.peak_force, lasting_peak(force[:late])),
-            held_force=max(self._impact.held_force, lasting_peak(force[late:stop])),
-            impulse=self._impact.impulse + float(np.nansum(force[:stop].clip(0.0))) / self._rate,
-            duration=(self._end - self._impact.onset_sample) / self._rate,
+        return impact._replace(
+            peak_force=float(force[:late].max(initial=impact.peak_force)),
+            held_force=float(force[late:stop].max(initial=impact.held_force)),
+            impulse=impact.impulse + float(force[:stop].clip(0.0).sum()) / self._rate,
+            duration=max(impact.duration, (first + stop - impact.onset_sample) / self._rate),
         )
 
     def takes_long(self, index: int) -> bool:
@@ -91,12 +104,12 @@ class HeldContact:
     @property
     def impact(self) -> Impact:
         """The contact so far."""
-        return self._impact
+        return self._with(self._latest[1:], self._seen - 1)
 
     @property
     def largest(self) -> float:
         """Largest force so far [N]."""
-        return max(self._impact.peak_force, self._impact.held_force)
+        return max(self.impact.peak_force, self.impact.held_force)
 
 
 class LoadLevel:

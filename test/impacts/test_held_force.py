@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from scara_effmass.impacts.detector import Detector
 from scara_effmass.impacts.load import EARLIER_LOAD, LATER_LOAD, MAX_HELD_S, NO_BASELINE, SLOW_CHANGE, TENSION
+from scara_effmass.impacts.segment import SINGLE_SAMPLE
 from scara_effmass.iso15066 import TRANSIENT_S
 from scara_effmass.settings import DetectionSettings
 from scara_effmass.values import BoolArray, FloatArray, Impact
@@ -105,6 +106,32 @@ def test_a_contact_that_stays_ends_with_its_last_sample(detect: Detect, rate: fl
     time = time_axis(8.0, rate)
     (impact,), _ = detect(noise(time) + drop(time, 2.0, 50.0, 158.0) * (time < 5.0), rate)
     assert impact.onset_sample + impact.duration * rate == pytest.approx(5.0 * rate, abs=0.1)
+
+
+@pytest.mark.parametrize("rate", [50.0, 100.0, 125.0, 1000.0])
+def test_the_held_force_is_its_largest_sample_unless_that_stands_alone(detect: Detect, rate: float) -> None:
+    """A push of 60 ms on the load counts, a single sample does not, wherever in a frame it is."""
+    time = time_axis(9.0, rate)
+    moving = np.where((time > 2.05) & (time < 7.0), 50.0 + 15.0 * np.sin(8.0 * time), 0.0)
+    load = noise(time) + press(time, 2.0, 160.0, 0.03, 0.0, 0.03) + moving
+    pushed = load + 250.0 * np.sin(np.pi * np.clip((time - 4.189) / 0.06, 0.0, 1.0))
+    (impact,), detector = detect(pushed, rate)
+    assert impact.held_force == pytest.approx(pushed[time > 2.6].max(), abs=0.5)
+    assert list(detector.left_out) == []
+    for at in range(round(4.0 * rate), round(4.0 * rate) + 11):
+        force = load.copy()
+        force[at] = 300.0
+        (impact,), detector = detect(force, rate)
+        assert impact.held_force == pytest.approx(load[time > 2.6].max(), abs=0.5)
+        assert peaks_by_reason(detector) == pytest.approx({SINGLE_SAMPLE: 300.0}, abs=0.5)
+        assert detector.glitches == 1
+
+
+def test_a_single_sample_before_any_baseline_is_counted(detect: Detect) -> None:
+    force = np.zeros(8)
+    force[3] = 200.0
+    impacts, detector = detect(force, 100.0)
+    assert (impacts, peaks_by_reason(detector)) == ([], {NO_BASELINE: 200.0})
 
 
 @rates
