@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Contacts in recordings of a force, without joint states: peaks, what stayed, and what is left out."""
 
-from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from scara_effmass.analysis.forces import Measurement, file_measurements
+from scara_effmass.analysis.forces import Measurement, file_measurements, lost_before
+from scara_effmass.bags.batches import LossLog
 from scara_effmass.errors import BagError
 from scara_effmass.impacts.detector import Detector
 from scara_effmass.impacts.load import TENSION, left_out_text
@@ -24,8 +24,7 @@ NO_BLOCKS = "only impacts were recorded: what their detection left out is not kn
 class RecordedContacts:
     """Contacts in one recording, by the detection of `daq_node`. `start_ns` is the stamp of its first sample or impact.
 
-    `left_out` counts the force above the threshold that is in no contact. `problems` are parts that could not be read,
-    and doubts.
+    `left_out` counts the force above the threshold that is in no contact. `losses` are parts that could not be read.
     """
 
     path: Path
@@ -36,7 +35,8 @@ class RecordedContacts:
     lost_samples: int
     contacts: tuple[Impact, ...]
     left_out: tuple[LeftOut, ...]
-    problems: tuple[str, ...]
+    losses: tuple[str, ...]
+    doubts: tuple[str, ...]
 
     def as_dict(self) -> dict[str, Any]:
         """Return everything as JSON types, in SI units, with times since the beginning of the recording."""
@@ -73,9 +73,10 @@ class RecordedContacts:
             "start_ns": self.start_ns,
             "samples": self.samples,
             "lost_samples": self.lost_samples,
+            "complete": not (self.losses or self.lost_samples),
             "contacts": contacts,
             "left_out": left_out,
-            "problems": list(self.problems),
+            "problems": [*self.losses, *self.doubts],
         }
 
     def rows(self) -> Iterator[tuple[object, ...]]:
@@ -101,33 +102,36 @@ class RecordedContacts:
         """Yield subject and text of what is no contact."""
         for item in self.left_out:
             yield "left out", f"{left_out_text(item)} at {(item.stamp_ns - self.start_ns) / NS:.3f} s"
-        for problem in self.problems:
-            yield "note", problem
+        for loss in self.losses:
+            yield "not read", loss
+        for doubt in self.doubts:
+            yield "note", doubt
 
 
 def recorded_contacts(path: Path, settings: ImportSettings, detection: DetectionSettings) -> RecordedContacts:
     """Return the contacts in the bag, CSV or TDMS file at `path`. Raises BagError, SettingsError."""
-    unreadable: Counter[str] = Counter()
+    losses = LossLog()
     detector = Detector(detection)
     contacts: list[Impact] = []
     samples = lost = 0
     start_ns: int | None = None
     sources: set[str] = set()
-    blocks = simulated = False
-    for value in _values(file_measurements(path, settings, unreadable)):
+    simulated = False
+    end: int | None = None
+    for value in _values(file_measurements(path, settings, losses)):
         start_ns = value.stamp_ns if start_ns is None else min(start_ns, value.stamp_ns)
         sources.add(value.source)
         simulated |= value.simulated
         if isinstance(value, Impact):
             contacts.append(value)
             continue
-        lost += value.lost_samples if blocks else 0  # the first block counts those before the recording began
-        blocks = True
+        lost += lost_before(value, end)
+        end = value.first_sample + len(value.force)
         samples += int(np.isfinite(value.force).sum())
         contacts += detector.feed(value)
     contacts += detector.finish()
     if start_ns is None:
-        raise BagError(f"{path}: must hold a force that can be read" + "".join(f"; {line}" for line in unreadable))
+        raise BagError("; ".join([f"{path}: must hold a force that can be read", *losses]))
     left_out = tuple(detector.left_out)
     return RecordedContacts(
         path=path,
@@ -138,7 +142,8 @@ def recorded_contacts(path: Path, settings: ImportSettings, detection: Detection
         lost_samples=lost,
         contacts=tuple(contacts),
         left_out=left_out,
-        problems=(*unreadable, *_doubts(contacts, left_out, samples, detector)),
+        losses=tuple(losses),
+        doubts=tuple(_doubts(contacts, left_out, samples, detector, settings)),
     )
 
 
@@ -146,13 +151,21 @@ def _values(measured: Iterable[Measurement]) -> Iterator[ForceBlock | Impact]:
     return (measurement.value for measurement in measured)
 
 
-def _doubts(contacts: Iterable[Impact], left_out: Iterable[LeftOut], samples: int, detector: Detector) -> Iterator[str]:
+def _doubts(
+    contacts: Iterable[Impact],
+    left_out: Iterable[LeftOut],
+    samples: int,
+    detector: Detector,
+    settings: ImportSettings,
+) -> Iterator[str]:
     """Yield what makes the list of contacts doubtful."""
     if not samples:
         yield NO_BLOCKS
     elif not detector.settled:
         yield "no steady baseline at the end: contacts there are not known"
     largest = max((contact.peak_force for contact in contacts), default=0.0)
-    if any(item.reason == TENSION and item.peak_force > largest for item in left_out):
+    has_sign = settings.axis != "norm"
+    if has_sign and any(item.reason == TENSION and item.peak_force > largest for item in left_out):
         sign = "the force goes further below the baseline than above it, but compression is positive"
-        yield f"{sign}; read the sensor's file with --invert"
+        option = "without --invert" if settings.sensor.invert else "with --invert"
+        yield f"{sign}; read files and wrenches {option}, and import force blocks again so"

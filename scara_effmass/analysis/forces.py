@@ -2,9 +2,7 @@
 """Force and impacts in recordings and files, and the force over time around each impact."""
 
 import math
-from collections import Counter
 from collections.abc import Iterable, Iterator
-from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,20 +13,21 @@ from numpy.typing import NDArray
 from scara_effmass.analysis.summary import iso_time
 from scara_effmass.analysis.time_series import decimate
 from scara_effmass.bags.bag import Bag
-from scara_effmass.bags.batches import Topic
-from scara_effmass.bags.definitions import check_definition
+from scara_effmass.bags.batches import LossLog, Topic
 from scara_effmass.bags.files import open_bag
-from scara_effmass.errors import BagError, DecodeError
+from scara_effmass.errors import BagError
 from scara_effmass.impacts.detector import Detector
-from scara_effmass.importers.force import IMPORTERS, import_force
+from scara_effmass.importers.force import IMPORTERS, import_force, import_wrenches
+from scara_effmass.importers.force_file import TABLE_SETTINGS, refuse_settings
 from scara_effmass.settings import DetectionSettings, ImportSettings
 from scara_effmass.values import NAN, FloatArray, ForceBlock, Impact
 from scara_effmass.wire.cdr import NS
-from scara_effmass.wire.force import decode_force_block, decode_impact
 from scara_effmass.wire.message_types import FORCE_BLOCK, IMPACT, WRENCH, WRENCH_STAMPED
 
 USUAL = {FORCE_BLOCK: "force", IMPACT: "impact", WRENCH_STAMPED: "wrench", WRENCH: "wrench"}
 """Usual topic of each type of measurement, in the order of preference."""
+IMPORT_SETTINGS = (*TABLE_SETTINGS, "axis", "unit", "sensor.invert", "sensor.sensitivity", "sensor.range")
+"""Settings without effect on force blocks and impacts."""
 BEFORE_S = 0.01
 """Time before the onset; its median force is the baseline."""
 LOW_SHARE = 0.1
@@ -97,9 +96,11 @@ def read_force(bag: Bag) -> RecordedForce | None:
         return None
     stamps: list[NDArray[np.int64]] = []
     forces: list[FloatArray] = []
-    for number, block in enumerate(blocks):
-        # The first block may count samples lost before the recording began.
-        if block.lost_samples and number:
+    end, lost = None, 0
+    for block in blocks:
+        missing = lost_before(block, end)
+        end, lost = block.first_sample + len(block.force), lost + missing
+        if missing:
             stamps.append(np.array([block.stamp_ns], np.int64))
             forces.append(np.array([NAN]))
         stamps.append(block.stamp_ns + np.rint(np.arange(len(block.force)) / block.sample_rate * NS).astype(np.int64))
@@ -108,11 +109,19 @@ def read_force(bag: Bag) -> RecordedForce | None:
         stamp_ns=np.concatenate(stamps),
         force=np.concatenate(forces),
         blocks=len(blocks),
-        lost=sum(block.lost_samples for block in blocks[1:]),
+        lost=lost,
         simulated=any(block.simulated for block in blocks),
         source=blocks[-1].source,
         impacts=tuple(bag.impacts(impact_topic)) if impact_topic else detected_impacts(blocks),
     )
+
+
+def lost_before(block: ForceBlock, end: int | None) -> int:
+    """Return the number of samples lost between sample number `end`, with which the block before ends, and `block`.
+
+    None: there is no block before, and the first one may count samples that were lost before the recording began.
+    """
+    return 0 if end is None else max(block.lost_samples, block.first_sample - end)
 
 
 def detected_impacts(blocks: Iterable[ForceBlock]) -> tuple[Impact, ...]:
@@ -141,43 +150,40 @@ def measurement_topic(bag: Bag, name: str) -> Topic:
     raise BagError(f"{bag.path}: {problem}; give --force-topic one of {', '.join(topic.name for topic in candidates)}")
 
 
-def file_measurements(path: Path, settings: ImportSettings, unreadable: Counter[str]) -> Iterator[Measurement]:
+def file_measurements(path: Path, settings: ImportSettings, losses: LossLog) -> Iterator[Measurement]:
     """Yield the measurements in a bag, or the force in a CSV or TDMS file, with the ends of its blocks as log times.
 
-    Raises BagError or SettingsError.
+    At the end, `losses` has a line for each part that could not be read. Raises BagError or SettingsError.
     """
     if path.suffix.lower() in IMPORTERS:
-        for block in import_force(path, settings)[1]:
+        file, blocks = import_force(path, settings)
+        for block in blocks:
             yield Measurement(block.stamp_ns + round(len(block.force) / block.sample_rate * NS), block)
+        losses.extend(file.losses())
         return
     with open_bag(path) as bag:
-        yield from measurements(bag, measurement_topic(bag, settings.topic), settings, unreadable)
+        yield from measurements(bag, measurement_topic(bag, settings.topic), settings)
+        losses.extend(bag.losses)
 
 
-def measurements(bag: Bag, topic: Topic, settings: ImportSettings, unreadable: Counter[str]) -> Iterator[Measurement]:
-    """Yield the force blocks or impacts of `topic`; count messages that cannot be decoded in `unreadable`.
+def measurements(bag: Bag, topic: Topic, settings: ImportSettings) -> Iterator[Measurement]:
+    """Yield the force blocks or impacts of `topic`; wrenches are imported as force blocks with `settings`.
 
-    Wrenches are imported as force blocks with `settings`. Raises BagError if the recording has another definition of
-    the type, or if wrenches cannot be imported.
+    Raises BagError if the recording has another definition of the type, or if wrenches cannot be imported.
     """
     if topic.type in {WRENCH_STAMPED, WRENCH}:
         yield from _import_wrenches(bag, settings.model_copy(update={"topic": topic.name}))
-        return
-    is_earlier = check_definition(bag.types, topic.type, str(bag.path))
-    decode = decode_force_block if topic.type == FORCE_BLOCK else partial(decode_impact, is_earlier=is_earlier)
-    for message in bag.messages([topic.name]):
-        if message.type == topic.type:
-            try:
-                yield Measurement(message.log_time_ns, decode(message.data))
-            except DecodeError as error:
-                unreadable[f"{bag.path}: {topic.name}: left out: {error}"] += 1
+    else:
+        refuse_settings(settings, IMPORT_SETTINGS, f"{bag.path}: {topic.name}", f"{topic.type} states it")
+        read = bag.timed_force_blocks if topic.type == FORCE_BLOCK else bag.timed_impacts
+        yield from (Measurement(*item) for item in read(topic.name))
 
 
 def _import_wrenches(bag: Bag, settings: ImportSettings) -> Iterator[Measurement]:
     """Yield the force of a topic of wrenches; the log time of the first message places all blocks in log time."""
     first_log_ns = next(message.log_time_ns for message in bag.messages([settings.topic]))
     first_stamp_ns: int | None = None
-    _, blocks = import_force(bag.path, settings)
+    _, blocks = import_wrenches(bag, settings)
     for block in blocks:
         first_stamp_ns = block.stamp_ns if first_stamp_ns is None else first_stamp_ns
         end_ns = block.stamp_ns + round(len(block.force) / block.sample_rate * NS)
@@ -274,24 +280,32 @@ def _round_up(value: float) -> float:
 
 
 def file_traces(
-    path: Path, settings: ImportSettings, onsets_ns: Iterable[int], after_s: float, offset_s: float = 0.0
+    path: Path,
+    settings: ImportSettings,
+    onsets_ns: Iterable[int],
+    after_s: float,
+    losses: LossLog,
+    offset_s: float = 0.0,
 ) -> list[ForceTrace]:
     """Return the force in the file or bag at `path` from each of `onsets_ns` to the next one, at most for `after_s`.
 
-    `offset_s` is added to the stamps of the file. Raises BagError, SettingsError.
+    `offset_s` is added to the stamps of the file. `losses` receives a line for each part that could not be read; with
+    one, no trace is complete. Raises BagError, SettingsError.
     """
     onsets = np.array(list(onsets_ns), np.int64)
     following = [min(onsets[onsets > onset], default=math.inf) for onset in onsets]
     ends = np.minimum((np.array(following) - onsets) / NS, after_s)
     parts: list[list[tuple[FloatArray, FloatArray]]] = [[] for _ in onsets]
     complete = np.full(len(onsets), fill_value=True)
-    for _, block in file_measurements(path, settings, Counter()):
+    end: int | None = None
+    for _, block in file_measurements(path, settings, losses):
         if not isinstance(block, ForceBlock):
             continue
         is_finite = np.isfinite(block.force)
         is_doubtful = ~is_finite
         is_doubtful[block.saturated_samples] = True
-        is_doubtful[:1] |= block.lost_samples > 0
+        is_doubtful[:1] |= lost_before(block, end) > 0
+        end = block.first_sample + len(block.force)
         first = (block.stamp_ns + round(offset_s * NS) - onsets) / NS
         last = first + len(block.force) / block.sample_rate
         for index in np.flatnonzero((first < ends) & (last > -BEFORE_S)):
@@ -300,6 +314,7 @@ def file_traces(
             complete[index] &= not is_doubtful[inside & (time > 0.0)].any()
             inside &= is_finite
             parts[index].append((time[inside], block.force[inside]))
+    complete &= not any(losses)
     traces = [_above_baseline(*map(np.concatenate, zip(*part, strict=True))) if part else NO_TRACE for part in parts]
     return [trace._replace(complete=bool(intact)) for trace, intact in zip(traces, complete, strict=True)]
 
@@ -310,7 +325,7 @@ def file_rise_ns(path: Path, settings: ImportSettings) -> int | None:
     Raises BagError, SettingsError.
     """
     stamps, forces = [], []
-    for _, block in file_measurements(path, settings, Counter()):
+    for _, block in file_measurements(path, settings, LossLog()):
         if isinstance(block, ForceBlock) and len(block.force):
             stamps.append(
                 block.stamp_ns + np.round(np.arange(len(block.force)) / block.sample_rate * NS).astype(np.int64)

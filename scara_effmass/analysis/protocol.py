@@ -32,6 +32,7 @@ from scara_effmass.iso15066 import (
 from scara_effmass.settings import ContactType, ImportSettings, MonitorSettings, checked
 from scara_effmass.settings.loading import FrozenSettings
 from scara_effmass.values import ContactAssessment, Vector3, Verdict
+from scara_effmass.wire.cdr import MAX_SEC
 
 MIN_REPETITIONS = 3
 """Fewest contacts of a test point."""
@@ -153,10 +154,12 @@ class Repetition(FrozenSettings):
     raw_data: Text | None = stated("file or folder with the force, relative to this file")
     raw_sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")] | None = stated("SHA-256 of it; fill computes it")
     raw_channel: Text | None = optional("CSV column, TDMS channel or topic of the force in it; null: the only one")
-    raw_unit: Annotated[str, Field(pattern="^(N|kN|lbf|kgf|V|mV)$")] | None = optional(
-        "unit of the force in it: N, kN, lbf, kgf, V or mV; null: as the file states"
+    raw_unit: Annotated[str, Field(pattern="^(N|kN|daN|lbf|kgf|V|mV)$")] | None = optional(
+        "unit of the force in it: N, kN, daN, lbf, kgf, V or mV; null: as the file states"
     )
-    raw_offset_s: float | None = optional("time to add to the stamps in it [s], if it has another clock")
+    raw_offset_s: Annotated[float, Field(ge=-MAX_SEC, le=MAX_SEC)] | None = optional(
+        "time to add to the stamps in it [s], if it has another clock"
+    )
     raw_import: Annotated[dict[str, Any], AfterValidator(_import_settings)] | None = optional(
         "other settings of `scara-effmass import` that it needs, as {rate: 1000.0} or {sensor: {sensitivity: 2.31}}"
     )

@@ -40,6 +40,7 @@ from scara_effmass.analysis.protocol import (
 from scara_effmass.analysis.report import PAGE, PageOptions, file_hashes, render, write_report_files
 from scara_effmass.analysis.summary import worst
 from scara_effmass.analysis.validation import ValidatedRecording, Validation
+from scara_effmass.bags.batches import LossLog
 from scara_effmass.errors import BagError, EffmassError, SettingsError
 from scara_effmass.impacts.agreement import region_force
 from scara_effmass.input_files import digest
@@ -331,7 +332,7 @@ def _raw_reasons(contacts: list[tuple[int, Repetition]], tolerance: float, folde
     if not known or not name or not (folder / name).exists():
         return  # named as missing, or as not found
     try:
-        traces, _ = _raw_traces([item for _, item in known], folder, MAX_CONTACT_S)
+        traces, _ = _raw_traces([item for _, item in known], folder, MAX_CONTACT_S, LossLog())
     except EffmassError as error:
         yield f"raw data is no force: {str(error).removeprefix(f'{folder / name}: ')}"
         return
@@ -359,7 +360,9 @@ def _onset_ns(item: Repetition) -> int:
     return round(item.time.timestamp() * 1e6) * 1000 if item.time else 0
 
 
-def _raw_traces(items: Sequence[Repetition], folder: Path, after_s: float) -> tuple[list[ForceTrace], bool]:
+def _raw_traces(
+    items: Sequence[Repetition], folder: Path, after_s: float, losses: LossLog
+) -> tuple[list[ForceTrace], bool]:
     """Return the force of contacts in one file, as `file_traces`, and whether the file has a clock of its own.
 
     Raises BagError, SettingsError.
@@ -367,11 +370,11 @@ def _raw_traces(items: Sequence[Repetition], folder: Path, after_s: float) -> tu
     first, onsets_ns = items[0], [_onset_ns(item) for item in items]
     stated = (first.raw_import or {}) | {"topic": first.raw_channel or "", "unit": first.raw_unit or ""}
     path, settings = folder / str(first.raw_data), checked(ImportSettings, stated, "raw_import")
-    traces = file_traces(path, settings, onsets_ns, after_s, first.raw_offset_s or 0.0)
+    traces = file_traces(path, settings, onsets_ns, after_s, losses, first.raw_offset_s or 0.0)
     if len(items) == 1 and first.raw_offset_s is None and not traces[0].reaches_onset:  # typed in by hand
         rise_ns = file_rise_ns(path, settings)
         if rise_ns is not None:
-            return file_traces(path, settings, onsets_ns, after_s, (onsets_ns[0] - rise_ns) / 1e9), True
+            return file_traces(path, settings, onsets_ns, after_s, losses, (onsets_ns[0] - rise_ns) / 1e9), True
     return traces, False
 
 
@@ -533,12 +536,14 @@ def _curves(contacts: list[Contact], folder: Path) -> Iterator[ShownTrace | Curv
     if name is None:
         yield from (CurveNote(contact.title, "", "no raw data is named") for contact in contacts)
         return
+    losses = LossLog()
     try:
-        traces, is_own_clock = _raw_traces([contact.item for contact in contacts], folder, AFTER_S)
+        traces, is_own_clock = _raw_traces([contact.item for contact in contacts], folder, AFTER_S, losses)
     except EffmassError as error:
         reason = str(error).removeprefix(f"{folder / name}: ")
         yield from (CurveNote(contact.title, name, reason) for contact in contacts)
         return
+    yield from (CurveNote(contacts[0].title, name, line.removeprefix(f"{folder / name}: ")) for line in losses)
     if is_own_clock:
         yield CurveNote(contacts[0].title, name, "drawn from its rise on, because the file has another clock")
     curves = [contact.shown(trace) for contact, trace in zip(contacts, traces, strict=True)]

@@ -7,7 +7,6 @@ The log time of a message replaces its arrival time at a node.
 from __future__ import annotations
 
 from array import array
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from heapq import merge
@@ -24,12 +23,14 @@ from scara_effmass.analysis.forces import (
     Measurement,
     file_measurements,
     file_traces,
+    lost_before,
     measurement_topic,
     measurements,
 )
 from scara_effmass.analysis.identification import ScaleByMotion, scales_by_motion
 from scara_effmass.bags.bag import Bag
 from scara_effmass.bags.bag import run_infos as stored_run_infos
+from scara_effmass.bags.batches import LossLog
 from scara_effmass.bags.files import open_bag
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.impacts.detector import Detector
@@ -112,16 +113,15 @@ class ValidatedRecording:
         """Return the force of each of the `contacts` in order, up to `after_s` after its onset. Raises BagError."""
         onsets = [contact.stamp_ns for contact in contacts]
         if self.force_clock:
-            return file_traces(self.files[-1], settings, onsets, after_s, self.force_offset)
-        return file_traces(self.path, settings.model_copy(update={"topic": self.force_topic}), onsets, after_s)
+            return file_traces(self.files[-1], settings, onsets, after_s, LossLog(), self.force_offset)
+        settings = settings.model_copy(update={"topic": self.force_topic})
+        return file_traces(self.path, settings, onsets, after_s, LossLog())
 
     def count(self, value: ForceBlock | Impact) -> None:
-        """Count a force block or an impact."""
+        """Count a force block, without lost samples, or an impact."""
         self.simulated |= value.simulated
         self.sources = tuple(sorted({*self.sources, value.source}))
         if isinstance(value, ForceBlock):
-            # The first block counts samples lost before the recording began.
-            self.lost_samples += value.lost_samples if self.force_blocks else 0
             self.force_blocks += 1
             self.relative_uncertainty = max(self.relative_uncertainty, value.relative_uncertainty)
 
@@ -214,17 +214,18 @@ def _feed(
     count = next(topic.count for topic in bag.topics if topic.name == states)
     infos = tuple(run_infos(bag))
     recording = ValidatedRecording(bag.path, states, str(force_path), infos, any(info.simulated for info in infos))
-    unreadable: Counter[str] = Counter()
+    losses = LossLog()
     if force_path is None:
         force = measurement_topic(bag, settings.force.topic)
         recording.force_topic = force.name
-        measured = measurements(bag, force, settings.force, unreadable)
+        measured = measurements(bag, force, settings.force)
     else:
-        foreign = list(file_measurements(force_path, settings.force, unreadable))
+        foreign = list(file_measurements(force_path, settings.force, losses))
         measured = _on_joint_clock(foreign, bag, recording, Monitor(dynamics, settings.monitor), settings)
     _set_runs(validator, settings, infos)
     detector = Detector(settings.detection)
     share, force_ns, monitor = 1.0 / count, 0, Monitor(dynamics, settings.monitor)
+    end: int | None = None
     records: tuple[Iterator[AssessedState | Measurement], ...] = (
         measured,
         assessed_rows(bag, states, monitor, settings.time),
@@ -239,6 +240,8 @@ def _feed(
         force_ns = item.log_time_ns
         recording.count(value)
         if isinstance(value, ForceBlock):
+            recording.lost_samples += lost_before(value, end)
+            end = value.first_sample + len(value.force)
             validator.add_force(value, force_ns)
         for impact in _impacts(detector, value):
             validator.add_impact(impact, force_ns)
@@ -248,8 +251,8 @@ def _feed(
     recording.dropouts, recording.glitches = detector.dropouts, detector.glitches
     recording.sustained_contacts = detector.sustained_contacts
     recording.left_out = tuple(detector.left_out)
-    undecoded = (f"{line} ({count} times)" if count > 1 else line for line, count in unreadable.items())
-    recording.losses = (*bag.losses, *undecoded)
+    losses.extend(bag.losses)
+    recording.losses = tuple(losses)
     return recording
 
 

@@ -95,6 +95,10 @@ class Bag(ABC):
         """Data that could not be read so far, one line each."""
         return tuple(self._losses)
 
+    def add_loss(self, line: str, count: int = 1) -> None:
+        """Add a `line` to `losses`, or increase its count, for a reader that leaves out messages."""
+        self._losses.add(f"{self.path}: {line}", count)
+
     @property
     def joint_state_topics(self) -> tuple[str, ...]:
         """Names of the topics of type sensor_msgs/JointState."""
@@ -145,11 +149,19 @@ class Bag(ABC):
 
         Raises BagError if the topic is missing or the bag defines ForceBlock differently.
         """
+        return (block for _, block in self.timed_force_blocks(topic))
+
+    def timed_force_blocks(self, topic: str) -> Iterator[tuple[int, ForceBlock]]:
+        """Yield log time [ns] and force block; see `force_blocks`."""
         check_definition(self.types, FORCE_BLOCK, str(self.path))
         return self._decoded(self.messages([topic]), FORCE_BLOCK, decode_force_block)
 
     def impacts(self, topic: str) -> Iterator[Impact]:
         """Yield the impacts of `topic`; see `force_blocks`."""
+        return (impact for _, impact in self.timed_impacts(topic))
+
+    def timed_impacts(self, topic: str) -> Iterator[tuple[int, Impact]]:
+        """Yield log time [ns] and impact; see `force_blocks`."""
         is_earlier = check_definition(self.types, IMPACT, str(self.path))
         return self._decoded(self.messages([topic]), IMPACT, partial(decode_impact, is_earlier=is_earlier))
 
@@ -174,13 +186,13 @@ class Bag(ABC):
 
     def _decoded(
         self, messages: Iterator[RawMessage], kind: str, decode: Callable[[bytes], Decoded]
-    ) -> Iterator[Decoded]:
+    ) -> Iterator[tuple[int, Decoded]]:
         failure_counts: Counter[str] = Counter()
         for message in messages:
             if message.type != kind:
                 continue
             try:
-                yield decode(message.data)
+                yield message.log_time_ns, decode(message.data)
             except DecodeError as error:
                 line = f"{self.path}: {message.topic}: left out: {error}"
                 failure_counts[line] += 1

@@ -57,6 +57,11 @@ class LossLog:
         """Add `line`, or increase its count to `count`, the number of occurrences in the current reading."""
         self._counts[line] = max(count, self._counts.get(line, 0))
 
+    def extend(self, lines: Iterable[str]) -> None:
+        """Add the `lines` of another log."""
+        for line in lines:
+            self.add(line)
+
     def __iter__(self) -> Iterator[str]:
         return (line if count == 1 else f"{line} ({count} times)" for line, count in self._counts.items())
 

@@ -26,6 +26,7 @@ from scara_effmass.settings import (
 )
 from scara_effmass.settings.loading import Settings, flat_fields, number_rule
 from scara_effmass.url import Url, location
+from scara_effmass.wire.cdr import MAX_SEC
 
 if TYPE_CHECKING:
     from scara_effmass.model.robot import Robot
@@ -135,6 +136,7 @@ TYPES: Mapping[str, Callable[[str], object]] = {
     "velocity": lambda text: text.replace("-", "_"),
     "number": NUMBER,
     "finite": number("a number", math.isfinite),
+    "offset": number(f"a number from {-MAX_SEC} to {MAX_SEC}", lambda seconds: abs(seconds) <= MAX_SEC),
     "not_negative": number("a number >= 0", lambda value: 0.0 <= value < math.inf),
     "rate": number("a number > 0", lambda value: 0.0 < value < math.inf),
     "positive": number("a number > 0", lambda value: value > 0.0),

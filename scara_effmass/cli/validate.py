@@ -33,6 +33,8 @@ SECTIONS = ("monitor", "validator", "daq")
 
 def run(args: argparse.Namespace) -> int:
     """Validate the recordings, write the report and print a summary."""
+    if args.obstacle_fixed and args.obstacle_mass is not None:
+        raise SettingsError(f"argument --fixed: must not come with --obstacle-mass {args.obstacle_mass:g}")
     settings = validation_settings(args)
     dynamics = load_dynamics(settings.monitor)
     page = PageOptions(args.language, args.pdf)
@@ -85,6 +87,8 @@ def validation_settings(args: argparse.Namespace) -> ValidationSettings:
         return load_settings(kind, args.params, name, SECTIONS) if args.params else kind()
 
     # The limits are those of the measured forces: a clamping monitor could give no prediction.
+    if args.force_offset is not None and not args.force_from:
+        raise SettingsError(f"argument --force-offset: {args.force_offset:g}: must come with --force-from")
     names = ("stiffness_n_m", "obstacle_mass", "obstacle_fixed", "plate_normal", "effective_mass_model")
     options = selected(args, "limits") | {name: getattr(args, name) for name in names}
     return ValidationSettings(

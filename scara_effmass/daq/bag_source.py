@@ -16,7 +16,7 @@ from scara_effmass.bags.batches import Topic
 from scara_effmass.bags.files import open_bag
 from scara_effmass.daq.source import ForceSource, Reading
 from scara_effmass.errors import BagError, SettingsError
-from scara_effmass.importers.force import IMPORTERS, import_force
+from scara_effmass.importers.force import IMPORTERS, import_wrenches
 from scara_effmass.settings import DaqSettings, ImportSettings, Stamps
 from scara_effmass.values import ForceBlock
 from scara_effmass.wire.cdr import NS
@@ -214,7 +214,7 @@ class BagSource(ForceSource):
         topic = found.name
         origin = f"{bag.path}: {topic}"
         wrench = ImportSettings(topic=topic, axis=self._settings.axis, unit=self._settings.unit, sensor=self._sensor)
-        recorded = bag.force_blocks(topic) if found.type == FORCE_BLOCK else import_force(path, wrench)[1]
+        recorded = bag.force_blocks(topic) if found.type == FORCE_BLOCK else import_wrenches(bag, wrench)[1]
         self._blocks = _ordered(recorded, origin)
         block = next(self._blocks, None)
         if block is None:

@@ -12,7 +12,14 @@ from pathlib import Path
 import numpy as np
 
 from scara_effmass.errors import BagError, SettingsError
-from scara_effmass.importers.force_file import UNITS, ForceFile, select_unit, uniform_samples
+from scara_effmass.importers.force_file import (
+    UNITS,
+    ForceFile,
+    refuse_settings,
+    select_force,
+    select_unit,
+    uniform_samples,
+)
 from scara_effmass.importers.times import MAX_DIGITS, Numbers, time_ns
 from scara_effmass.input_files import check_regular_file
 from scara_effmass.settings import ImportSettings
@@ -37,6 +44,9 @@ REPEATED = re.compile(r"\.\d+$")
 """What pandas appends to a name that another column has."""
 WORD = re.compile(r"[^\W_]+")
 TIME_WORDS = {"t", "time", "times", "timestamp", "stamp", "date", "datetime", "elapsed", "zeit", "zeitstempel", "datum"}
+SEPARATOR = re.compile(r"(?i)sep=(.)")
+"""First line by which Excel knows the delimiter."""
+DECIMAL_COMMA = re.compile(r"\s*[+-]?\d+,\d+\s*")
 COUNTER = re.compile(r"(?i)(#|no|nr|n|i|index|idx|samples?|count|counter|row|id|nummer)\.?")
 LOWER_CASE = {unit.lower(): unit for unit in (*UNITS, *NS_PER_UNIT)}
 
@@ -48,9 +58,11 @@ def open_csv(path: Path, settings: ImportSettings) -> ForceFile:
     states units, as in "Force (N)" or "force_n"; times without a unit are in seconds, or in ISO 8601. Without header,
     columns are numbered from 0. Rows without time or force are skipped. Raises BagError or SettingsError.
     """
+    refuse_settings(settings, ("axis",), str(path), "a column has no axes")
     header, rows, delimiter = _read(path, has_header=settings.header, has_times=not settings.rate)
-    if settings.rate and settings.time_column:
-        raise SettingsError(f"{path}: rate = {settings.rate:g}: must be empty, time_column has the times")
+    times = [settings.time_column] if settings.time_column else [header[n] for n in _time_columns(header)]
+    if settings.rate and times:
+        raise SettingsError(f"{path}: rate = {settings.rate:g}: must be empty, the file has times: {', '.join(times)}")
     stated = _column(header, settings.time_column, "time_column", path) if settings.time_column else None
     topic = settings.topic or _force_column(header, stated, path, has_times=not settings.rate)
     force = _column(header, topic, "topic", path)
@@ -85,10 +97,20 @@ def _read(path: Path, *, has_header: bool, has_times: bool) -> tuple[list[str], 
     lines = _lines(path)
     numbered = enumerate(lines)
     start, first = next(((n, line) for n, line in numbered if line.strip() and not line.startswith("#")), (0, ""))
+    delimiters = DELIMITERS
+    if match := SEPARATOR.fullmatch(first.rstrip("\r\n")):
+        delimiters = match[1]
+        if delimiters not in DELIMITERS:
+            raise BagError(f"{path}: line {start + 1}: sep = {delimiters}: must be a comma, a semicolon or a tab")
+        start, first = next(numbered, (0, ""))
     if not first:
         raise BagError(f"{path}: is empty; must have a header row and rows of numbers")
     head = [first, *islice(lines, DELIMITER_ROWS)]
-    delimiter = max(DELIMITERS, key=partial(_fit, head, has_header=has_header))
+    is_bare = not (has_header or has_times) and len(delimiters) > 1
+    if is_bare and all(map(DECIMAL_COMMA.fullmatch, filter(str.strip, head))):
+        rule = "must have a header, or ; between columns"
+        raise BagError(f"{path}: line {start + 1}: is one number with a decimal comma, or two columns: {rule}")
+    delimiter = max(delimiters, key=partial(_fit, head, has_header=has_header))
     rows = _rows(path, start, chain(head, lines), delimiter)
     line, header = next(rows)
     if len(header) < 2 and has_times:
@@ -132,13 +154,11 @@ def _lines(path: Path) -> Iterator[str]:
 
 
 def _rows(path: Path, start: int, lines: Iterator[str], delimiter: str) -> Rows:
-    """Yield line number and cells of each row. Raises BagError for a row with more cells than the first one."""
+    """Yield line number and cells of each row, none of a blank one. Raises BagError for more than in the first row."""
     reader = csv.reader(lines, delimiter=delimiter)
     columns = 0
     try:
         for row in reader:
-            if not row:
-                continue
             cells = [cell.strip() for cell in row]
             columns = columns or len(cells)
             if any(cells[columns:]):
@@ -163,14 +183,11 @@ def _column(header: Sequence[str], name: str, key: str, path: Path) -> int:
 
 
 def _force_column(header: Sequence[str], time: int | None, path: Path, *, has_times: bool) -> str:
-    """Return the only column that can be force; columns with a unit of force have priority."""
+    """Return the only column that can be force."""
     times = {time} if time is not None else set(_time_columns(header)) or ({0} if has_times else set())
-    others = [name for number, name in enumerate(header) if number not in times]
-    candidates = [name for name in others if _unit(name) in UNITS] or others
-    if len(candidates) == 1:
-        return candidates[0]
-    remedy = "" if any(_unit(name) in UNITS for name in candidates) else "; joint states need --joints FILE"
-    raise SettingsError(f"{path}: topic is empty: must be one of {', '.join(candidates or header)}{remedy}")
+    others = [(name, _unit(name)) for number, name in enumerate(header) if number not in times]
+    remedy = "" if any(unit in UNITS for _, unit in others) else "; joint states need --joints FILE"
+    return select_force(path, others, remedy)
 
 
 def is_time_name(name: str) -> bool:
@@ -254,6 +271,8 @@ def _samples_at_rate(
 ) -> Iterator[tuple[int, float]]:
     """Yield the stamp [ns] and the value of each row, the first one at 0; a row without a value is a lost sample."""
     for count, (line, row) in enumerate(rows):
+        if count > rate * MAX_SEC:
+            raise BagError(f"{path}: line {line}: rate = {rate:g}: must be larger, the file lasts over {MAX_SEC} s")
         if len(row) > force and row[force]:
             yield round(count / rate * NS), _number(row[force], f"{path}: line {line}: {header[force]}", number)
 

@@ -7,11 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
+from scara_effmass.bags.bag import Bag
+from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError
 from scara_effmass.importers.csv_file import open_csv
 from scara_effmass.importers.force_file import NEWTON_PER_UNIT, VOLT_PER_UNIT, ForceFile
-from scara_effmass.importers.wrench_topic import open_wrench_topic
+from scara_effmass.importers.wrench_topic import read_wrench_topic
 from scara_effmass.settings import ImportSettings
 from scara_effmass.values import MAX_LOST_SAMPLES, RANGE_TOLERANCE, ForceBlock, true_runs
 from scara_effmass.wire.cdr import NS
@@ -65,8 +67,17 @@ def import_force(path: Path, settings: ImportSettings) -> tuple[ForceFile, Itera
 
     Values that are not finite numbers count as lost samples. Raises BagError or SettingsError.
     """
-    file = IMPORTERS.get(path.suffix.lower(), open_wrench_topic)(path, settings)
+    if (open_file := IMPORTERS.get(path.suffix.lower())) is None:
+        with open_bag(path) as bag:
+            return import_wrenches(bag, settings)
+    file = open_file(path, settings)
     return file, _force_blocks(path, file, settings)
+
+
+def import_wrenches(bag: Bag, settings: ImportSettings) -> tuple[ForceFile, Iterator[ForceBlock]]:
+    """Do the same with a topic of wrenches or numbers in an open bag."""
+    file = read_wrench_topic(bag, settings)
+    return file, _force_blocks(bag.path, file, settings)
 
 
 def write_force_bag(

@@ -6,9 +6,12 @@ shifts only its own stamp; a missing sample shifts all stamps after it. The mini
 tells the two apart.
 """
 
-from collections.abc import Callable, Iterator
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from operator import attrgetter
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -16,18 +19,23 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from scara_effmass.errors import SettingsError
+from scara_effmass.settings import ImportSettings
 from scara_effmass.values import FloatArray
 from scara_effmass.wire.cdr import NS
 
 IntArray = NDArray[np.int64]
 
-NEWTON_PER_UNIT = {"N": 1.0, "kN": 1e3, "lbf": 4.4482216152605, "kgf": 9.80665}
+NEWTON_PER_UNIT = {"N": 1.0, "kN": 1e3, "daN": 10.0, "lbf": 4.4482216152605, "kgf": 9.80665}
 """NIST SP 811, Appendix B.8."""
 VOLT_PER_UNIT = {"V": 1.0, "mV": 1e-3}
 SPELLINGS = {"newton": "N", "newtons": "N", "kilonewton": "kN", "kilonewtons": "kN", "volt": "V", "volts": "V"}
 """Units spelled out, in lower case."""
+FORCE_NAME = re.compile(r"force|kraft|kräfte|\b(?:f[xyz]?\d*|load|last)\b")
+"""What names a column or channel of force, in lower case, with spaces for underscores."""
 UNITS = (*NEWTON_PER_UNIT, *VOLT_PER_UNIT)
 
+TABLE_SETTINGS = ("rate", "time_column", "header")
+"""Settings without effect on messages."""
 BLOCK_TIME_S = 0.1
 """Length of an imported block."""
 HEAD = 4096
@@ -73,19 +81,43 @@ class ForceFile:
     losses: Callable[[], tuple[str, ...]] = tuple
 
 
+def select_force(path: Path, channels: Sequence[tuple[str, str]], remedy: str = "") -> str:
+    """Return the only one of the columns or channels, given by name and stated unit, that can be force.
+
+    Those that are named force have priority, whatever their unit is; else those with a unit of force, but volts only if
+    no other one is without a unit. Raises SettingsError if several remain.
+    """
+    candidates = [name for name, _ in channels if FORCE_NAME.search(name.lower().replace("_", " "))]
+    if not candidates:
+        has_force = any(unit in NEWTON_PER_UNIT for _, unit in channels)
+        candidates = [name for name, unit in channels if unit in UNITS or not (unit or has_force)]
+    candidates = candidates or [name for name, _ in channels]
+    if len(candidates) == 1:
+        return candidates[0]
+    raise SettingsError(f"{path}: topic is empty: must be one of {', '.join(candidates)}{remedy}")
+
+
 def select_unit(setting: str, stated: str, origin: str) -> str:
     """Return the unit stated by the setting or by the file; either may be empty.
 
     Raises SettingsError if neither is one of UNITS, or if they differ.
     """
-    choices = ", ".join(UNITS)
+    choices = f"--unit, one of {', '.join(UNITS)}"
     if not setting and not stated:
-        raise SettingsError(f"{origin}: states no unit; unit must be one of {choices}")
+        raise SettingsError(f"{origin}: states no unit; state {choices}")
     if not setting and stated not in UNITS:
-        raise SettingsError(f"{origin}: has the unit {stated!r}; convert it, or set unit to one of {choices}")
+        raise SettingsError(f"{origin}: has the unit {stated!r}; convert it, or state {choices}")
     if setting and stated in UNITS and stated != setting:
         raise SettingsError(f"{origin}: unit = {setting}: must be empty, the file states {stated}")
     return setting or stated
+
+
+def refuse_settings(settings: ImportSettings, names: Iterable[str], origin: str, reason: str) -> None:
+    """Raise SettingsError if one of the settings `names` ("sensor.invert") is stated, although it has no effect."""
+    for name in names:
+        value, default = (attrgetter(name)(item) for item in (settings, ImportSettings()))
+        if value != default:
+            raise SettingsError(f"{origin}: {name} = {value}: must not be stated, {reason}")
 
 
 class _Sampling(NamedTuple):
@@ -185,7 +217,8 @@ def _rough_period_ns(stamps_ns: IntArray) -> float:
     steps_ns = np.diff(stamps_ns)
     period_ns = float(np.median(steps_ns))
     half = len(stamps_ns) // 2
-    if period_ns > 0.0 and np.mean(np.abs(steps_ns - period_ns) <= STEP_TOLERANCE * period_ns) >= MIN_EVEN_STEPS:
+    is_even = np.mean(np.abs(steps_ns - period_ns) <= STEP_TOLERANCE * period_ns) >= MIN_EVEN_STEPS
+    if is_even and 0.0 < (1.0 - MAX_LOSS) * np.mean(steps_ns) <= period_ns:
         # The period from a shorter lag gives the number of periods in a longer one, including missing samples.
         for lag in (lag for lag in LAGS if lag <= half):
             spans_ns = stamps_ns[lag:] - stamps_ns[:-lag]

@@ -7,9 +7,17 @@ from typing import Any, NamedTuple
 
 import lvm_read
 import numpy as np
+from numpy.typing import NDArray
 
 from scara_effmass.errors import BagError, SettingsError
-from scara_effmass.importers.force_file import SPELLINGS, UNITS, ForceFile, select_unit, uniform_samples
+from scara_effmass.importers.force_file import (
+    SPELLINGS,
+    ForceFile,
+    refuse_settings,
+    select_force,
+    select_unit,
+    uniform_samples,
+)
 from scara_effmass.importers.times import time_ns
 from scara_effmass.input_files import read_text
 from scara_effmass.settings import ImportSettings
@@ -37,6 +45,7 @@ def open_lvm(path: Path, settings: ImportSettings) -> ForceFile:
     Times are those of the X column, or X0 and Delta_X, after date and time of each segment, which are taken as UTC.
     Raises BagError or SettingsError.
     """
+    refuse_settings(settings, ("axis", "header", "time_column"), str(path), "an .lvm file has none")
     text = read_text(path, BagError, MAX_LVM_BYTES)
     try:
         content: dict[Any, Any] = lvm_read.read_str(text)
@@ -53,7 +62,7 @@ def open_lvm(path: Path, settings: ImportSettings) -> ForceFile:
     for channels, segment in segments:
         for channel in channels:
             if channel.name == name:
-                own_ns, samples = _samples(segment, channel)
+                own_ns, samples = _samples(segment, channel, settings.rate, f"{path}: {name}")
                 times_ns.append(own_ns)
                 values.append(samples)
                 unit = unit or channel.unit
@@ -100,28 +109,31 @@ def _channels(header: dict[Any, Any], segment: dict[str, Any]) -> Iterator[_Chan
             )
 
 
-def _samples(segment: dict[str, Any], channel: _Channel) -> tuple[Any, FloatArray]:
-    """Return the stamps (n,) [ns] and values (n,) of a channel. Raises BagError."""
+def _samples(
+    segment: dict[str, Any], channel: _Channel, rate: float, origin: str
+) -> tuple[NDArray[np.int64], FloatArray]:
+    """Return the stamps (n,) [ns] and values (n,) of a channel, at `rate` [Hz] unless it is 0. Raises BagError."""
     data = segment["data"]
     values = np.asarray(data[:, channel.column], np.float64)
     x_columns = [n for n, name in enumerate(segment["Channel names"][: channel.column]) if name == X]
-    seconds = (
-        data[:, x_columns[-1]]
-        if x_columns and np.isnan(channel.dx)
-        else channel.x0 + np.arange(len(values)) * channel.dx
-    )
+    has_x = bool(x_columns) and np.isnan(channel.dx)
+    if rate and (has_x or channel.dx > 0.0):
+        raise SettingsError(f"{origin}: rate = {rate:g}: must be empty, the file has times")
+    dx = 1.0 / rate if rate else channel.dx
+    seconds = data[:, x_columns[-1]] if has_x else channel.x0 + np.arange(len(values)) * dx
     kept = np.isfinite(seconds)
-    if not kept.any() or np.abs(seconds[kept]).max() + abs(channel.start_ns) / NS > MAX_SEC:
-        raise BagError(f"{channel.name}: Delta_X: must be the sampling period [s], or there must be a column {X}")
+    if not dx or not kept.any() or np.abs(seconds[kept]).max() + abs(channel.start_ns) / NS > MAX_SEC:
+        remedy = f"or there must be a column {X}; without times, state --rate HZ"
+        raise BagError(f"{origin}: Delta_X = {dx:g}: must be the sampling period [s], {remedy}")
     return channel.start_ns + np.rint(seconds[kept] * NS).astype(np.int64), values[kept]
 
 
 def _name(path: Path, channels: list[_Channel], topic: str) -> str:
     """Return the channel `topic`, or the only one that can be force."""
-    names = list(dict.fromkeys(channel.name for channel in channels))
-    forces = list(dict.fromkeys(channel.name for channel in channels if channel.unit in UNITS))
-    candidates = [topic] if topic else forces or names
-    if len(candidates) == 1 and candidates[0] in names:
-        return candidates[0]
-    setting = f"topic = {topic}" if topic else "topic is empty"
-    raise SettingsError(f"{path}: {setting}: must be one of {', '.join(names)}")
+    units: dict[str, str] = {}
+    for channel in channels:
+        units[channel.name] = units.get(channel.name) or channel.unit
+    name = topic or select_force(path, list(units.items()))
+    if name not in units:
+        raise SettingsError(f"{path}: topic = {topic}: must be one of {', '.join(units)}")
+    return name

@@ -2,7 +2,7 @@
 """Force from a TDMS file of LabVIEW or NI-DAQmx: a channel with waveform timing."""
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -18,10 +18,11 @@ from scara_effmass.importers.csv_file import NS_PER_UNIT, is_time_name
 from scara_effmass.importers.force_file import (
     BLOCK_TIME_S,
     SPELLINGS,
-    UNITS,
     ForceFile,
     IntArray,
     SampleBlock,
+    refuse_settings,
+    select_force,
     select_unit,
     uniform_samples,
 )
@@ -46,19 +47,23 @@ def open_tdms(path: Path, settings: ImportSettings) -> ForceFile:
     rate. A program that starts again and appends to its file changes the start time: the pause is a gap. Raises
     BagError or SettingsError.
     """
-    file = _read(path)
+    refuse_settings(settings, ("axis", "header"), str(path), "a TDMS file has none")
+    file = _guarded(path, lambda: TdmsFile.read(path))
     channel, name = _channel(path, file, settings.topic)
     origin = f"{path}: {name}"
     unit = select_unit(settings.unit, _unit(channel), origin)
     is_cut = file.file_status.incomplete_final_segment
     losses = (f"{path}: is cut off in its last segment; the rest is lost",) if is_cut else ()
-    samples = np.asarray(channel[:], np.float64)
+    samples = np.asarray(_guarded(path, lambda: channel[:]), np.float64)
     increment = _property(channel, "wf_increment", origin)
-    if settings.rate and (increment or settings.time_column):
+    has_times = increment or settings.time_column or any(map(_is_time, _siblings(file, channel)))
+    if settings.rate and has_times:
         raise SettingsError(f"{origin}: rate = {settings.rate:g}: must be empty, the file has times")
     if increment and not settings.time_column:
         sample_rate, blocks = _waveform(path, channel, increment, samples, origin)
     elif settings.rate:
+        if len(samples) > settings.rate * MAX_SEC:
+            raise BagError(f"{origin}: rate = {settings.rate:g}: must be larger, the file lasts over {MAX_SEC} s")
         sample_rate, blocks = settings.rate, _blocks(samples, 0, 1.0 / settings.rate, 0)
     else:
         times_ns = _times_ns(path, file, channel, settings.time_column, origin)
@@ -174,11 +179,10 @@ def _blocks(samples: FloatArray, start_ns: int, increment: float, lost: int) -> 
 def _times_ns(path: Path, file: Any, force: Any, name: str, origin: str) -> IntArray:  # noqa: ANN401
     """Return the times (n,) [ns] in the channel `name`, or in the only one of the group of `force` with times."""
     channels = {f"{group.name}/{channel.name}": channel for group in file.groups() for channel in group.channels()}
-    siblings = {full: channel for full, channel in channels.items() if channel.group_name == force.group_name}
     if name:
         chosen = [full for full in (name, f"{force.group_name}/{name}") if full in channels]
     else:
-        chosen = [full for full, channel in siblings.items() if channel.path != force.path and _is_time(channel)]
+        chosen = [f"{one.group_name}/{one.name}" for one in _siblings(file, force) if _is_time(one)]
     if not name and not chosen:
         stated = force.properties.get("wf_increment", "missing")
         remedy = "state --rate HZ, or the channel of the times with --time-column"
@@ -187,10 +191,11 @@ def _times_ns(path: Path, file: Any, force: Any, name: str, origin: str) -> IntA
         setting = f"time_column = {name}" if name else "time_column is empty"
         raise SettingsError(f"{path}: {setting}: must be one of {', '.join(chosen or channels)}")
     channel = channels[chosen[0]]
+    times = _guarded(path, lambda: channel[:])
     if np.issubdtype(channel.dtype, np.datetime64):
-        times_ns = channel[:].astype("datetime64[ns]").astype(np.int64)
+        times_ns = times.astype("datetime64[ns]").astype(np.int64)
     elif np.issubdtype(channel.dtype, np.number):
-        seconds = np.asarray(channel[:], np.float64) * (NS_PER_UNIT.get(_unit(channel) or "s", NS) / NS)
+        seconds = np.asarray(times, np.float64) * (NS_PER_UNIT.get(_unit(channel) or "s", NS) / NS)
         if not np.all(np.abs(seconds) < MAX_SEC):
             raise BagError(f"{path}: {chosen[0]}: must be times within {MAX_SEC} s of 1970 or of the start")
         times_ns = np.rint(seconds * NS).astype(np.int64)
@@ -201,16 +206,22 @@ def _times_ns(path: Path, file: Any, force: Any, name: str, origin: str) -> IntA
     return np.asarray(times_ns, np.int64)
 
 
+def _siblings(file: Any, force: Any) -> list[Any]:  # noqa: ANN401 - nptdms has no types
+    """Return the other channels in the group of the channel `force`."""
+    return [channel for channel in file[force.group_name].channels() if channel.path != force.path]
+
+
 def _is_time(channel: Any) -> bool:  # noqa: ANN401 - nptdms has no types
     if np.issubdtype(channel.dtype, np.datetime64):
         return True
     return np.issubdtype(channel.dtype, np.number) and (_unit(channel) in NS_PER_UNIT or is_time_name(channel.name))
 
 
-def _read(path: Path) -> Any:  # noqa: ANN401 - nptdms has no types
+def _guarded(path: Path, read: Callable[[], Any]) -> Any:  # noqa: ANN401 - nptdms has no types
+    """Return what `read` returns. Raises BagError."""
     check_regular_file(path, BagError)
     try:
-        return TdmsFile.read(path)
+        return read()
     except OSError as error:
         raise BagError(f"{path}: cannot be read: {error.strerror or error}") from None
     except Exception as error:  # noqa: BLE001 - nptdms raises any error at a damaged file
@@ -227,12 +238,11 @@ def _channel(path: Path, file: Any, topic: str) -> tuple[Any, str]:  # noqa: ANN
     }
     if not channels:
         raise BagError(f"{path}: has no channel with numbers")
-    forces = [name for name, channel in channels.items() if _unit(channel) in UNITS]
-    candidates = [topic] if topic else forces or list(channels)
-    if len(candidates) == 1 and candidates[0] in channels:
-        return channels[candidates[0]], candidates[0]
-    setting = f"topic = {topic}" if topic else "topic is empty"
-    raise SettingsError(f"{path}: {setting}: must be one of {', '.join(channels)}")
+    others = [(name, _unit(channel)) for name, channel in channels.items() if not _is_time(channel)]
+    name = topic or select_force(path, others)
+    if name not in channels:
+        raise SettingsError(f"{path}: topic = {topic}: must be one of {', '.join(channels)}")
+    return channels[name], name
 
 
 def _unit(channel: Any) -> str:  # noqa: ANN401 - nptdms has no types

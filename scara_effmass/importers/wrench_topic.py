@@ -1,20 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Force from a topic of wrenches or numbers in a bag, one sample per message."""
 
-import math
 from array import array
-from pathlib import Path
-from typing import Any
+from collections import Counter
+from typing import NamedTuple
 
 import numpy as np
 
 from scara_effmass.bags.bag import Bag, first_run_info
 from scara_effmass.bags.batches import IntArray, Topic
-from scara_effmass.bags.files import open_bag
 from scara_effmass.errors import BagError, DecodeError
-from scara_effmass.importers.force_file import ForceFile, uniform_samples
+from scara_effmass.importers.force_file import TABLE_SETTINGS, ForceFile, refuse_settings, uniform_samples
 from scara_effmass.settings import ImportSettings
-from scara_effmass.values import FloatArray, true_runs
+from scara_effmass.values import BoolArray, FloatArray, true_runs
 from scara_effmass.wire.cdr import NS
 from scara_effmass.wire.message_types import FLOAT64, FORCE_BLOCK, WRENCH, WRENCH_STAMPED
 
@@ -24,6 +22,10 @@ HEAD = 1000
 """Number of messages that determine the usual difference of stamp and log time."""
 MAX_DELAY_NS = 5 * NS
 """A stamp whose difference to the log time deviates by more than this from the usual one is invalid."""
+MIN_FROZEN_RUN, FROZEN_FACTOR = 5, 4.0
+"""Messages have a frozen stamp if more than this number share it, and more than this multiple of the usual number."""
+UNLOADED_NS = NS
+"""Time from the first message on, whose median force is that without load."""
 CLOCK_STEP_RUN = 100
 """Number of consecutive invalid stamps that shows a clock step."""
 MIN_STEP_RUN = 5
@@ -34,35 +36,59 @@ STEP_AGREEMENT = 0.5
 """Share of a jump by which the change of the usual delay may differ from it."""
 
 
-def open_wrench_topic(path: Path, settings: ImportSettings) -> ForceFile:
-    """Read the force (along `settings.axis`, or its norm) from a topic of wrenches, or from a topic of Float64.
+class _Messages(NamedTuple):
+    """Log times, header stamps (0 if the type has none) [ns] and force, each (n,)."""
 
-    Times are those of the headers, or the log times if the headers have no stamps. Raises BagError.
+    log_times_ns: IntArray
+    stamps_ns: IntArray
+    force: FloatArray
+
+    def without(self, invalid: BoolArray, problem: str, bag: Bag) -> "_Messages":
+        """Return the messages that are not `invalid` (n,); the `bag` notes number and largest force of the others."""
+        if invalid.any():
+            force = np.abs(self.force[invalid])
+            peak = float(force[np.isfinite(force)].max(initial=0.0))
+            first_s = self.log_times_ns[invalid][0] / NS
+            count = np.count_nonzero(invalid)
+            bag.add_loss(f"{problem}: messages left out: {count}, from {first_s:.6f} s on, values up to {peak:.1f}")
+        return _Messages(self.log_times_ns[~invalid], self.stamps_ns[~invalid], self.force[~invalid])
+
+
+def read_wrench_topic(bag: Bag, settings: ImportSettings) -> ForceFile:
+    """Read the force (along `settings.axis`, or a norm) from a topic of wrenches, or from a topic of Float64.
+
+    Times are those of the headers, or the log times if the headers have no stamps. The norm is that of the difference
+    to the median force of the first second, so the sensor must not turn. Raises BagError or SettingsError.
     """
-    with open_bag(path) as bag:
-        topic = _topic(bag, settings.topic)
-        origin = f"{bag.path}: {topic.name}"
-        log_times_ns, stamps_ns, values = _read(bag, topic, settings.axis)
-        component = "" if topic.type == FLOAT64 else f" force.{settings.axis}"
-        if stamps_ns[:HEAD].any():
-            _check_clock(log_times_ns, stamps_ns, origin)
-            stamps_ns, values = _sort(log_times_ns, stamps_ns, values, origin)
-        else:
-            stamps_ns = log_times_ns
-            component += ", at log times"
-        try:
-            sample_rate, blocks = uniform_samples(stamps_ns, values)
-        except ValueError as error:
-            raise BagError("; ".join([f"{origin}: {error}", *bag.losses])) from None
-        info = first_run_info(bag)
-        return ForceFile(
-            description=f"{bag.path.name}, {topic.name}{component}",
-            unit=settings.unit or "N",
-            sample_rate=sample_rate,
-            blocks=blocks,
-            simulated=info is not None and info.simulated,
-            losses=lambda: bag.losses,
-        )
+    topic = _topic(bag, settings.topic)
+    origin = f"{bag.path}: {topic.name}"
+    refuse_settings(settings, TABLE_SETTINGS, origin, "messages have times")
+    if topic.type == FLOAT64:
+        refuse_settings(settings, ("axis",), origin, "a number has no axes")
+    if settings.axis == "norm":
+        refuse_settings(settings, ("sensor.invert",), origin, "a norm has no sign")
+    messages, zero = _read(bag, topic, settings.axis)
+    component = "" if topic.type == FLOAT64 else f" force.{settings.axis}{zero}"
+    stamps_ns, force = messages.log_times_ns, messages.force
+    if messages.stamps_ns[:HEAD].any():
+        messages = messages.without(_frozen(messages.stamps_ns), f"{topic.name}: the stamp is frozen", bag)
+        _check_clock(messages.log_times_ns, messages.stamps_ns, origin)
+        stamps_ns, force = _sort(messages, bag, topic)
+    else:
+        component += ", at log times"
+    try:
+        sample_rate, blocks = uniform_samples(stamps_ns, force)
+    except ValueError as error:
+        raise BagError("; ".join([f"{origin}: {error}", *bag.losses])) from None
+    info = first_run_info(bag)
+    return ForceFile(
+        description=f"{bag.path.name}, {topic.name}{component}",
+        unit=settings.unit or "N",
+        sample_rate=sample_rate,
+        blocks=blocks,
+        simulated=info is not None and info.simulated,
+        losses=lambda: bag.losses,
+    )
 
 
 def _topic(bag: Bag, name: str) -> Topic:
@@ -82,40 +108,58 @@ def _topic(bag: Bag, name: str) -> Topic:
     raise BagError(f"{bag.path}: {f'topic = {name}' if name else 'topic is empty'}: {rule}")
 
 
-def _read(bag: Bag, topic: Topic, axis: str) -> tuple[IntArray, IntArray, FloatArray]:
-    """Return log times, header stamps (0 if the type has none) [ns], and values (n,).
-
-    Messages that cannot be decoded are left out and leave a gap in the times.
-    """
+def _read(bag: Bag, topic: Topic, axis: str) -> tuple[_Messages, str]:
+    """Return the messages that can be decoded, and as text the force that was subtracted before the norm was taken."""
     log_times_ns, stamps_ns, values = array("q"), array("q"), array("d")
-    reason = ""
+    components = axis if axis in {"x", "y", "z"} else "xyz"
+    failure_counts: Counter[str] = Counter()
+    frames: set[str] = set()
     for message in bag.messages([topic.name]):
         if message.type != topic.type:
             continue
         try:
-            stamp_ns, value = _sample(bag.deserialize(message), topic.type, axis)
+            decoded = bag.deserialize(message)
+            if topic.type == FLOAT64:
+                sample = [float(decoded.data)]
+            else:
+                force = decoded.force if topic.type == WRENCH else decoded.wrench.force
+                sample = [float(getattr(force, name)) for name in components]
+            stamp = decoded.header.stamp if topic.type == WRENCH_STAMPED else None
+            stamp_ns = 0 if stamp is None else int(stamp.sec) * NS + int(stamp.nanosec)
+            frames |= set() if stamp is None else {str(decoded.header.frame_id)}
         except (DecodeError, AttributeError, TypeError, ValueError) as error:
-            reason = str(error)
+            reason = str(error).removeprefix(f"{bag.path}: {topic.name}: ")
+            failure_counts[reason] += 1
+            bag.add_loss(f"{topic.name}: left out: {reason}", failure_counts[reason])
             continue
         log_times_ns.append(message.log_time_ns)
         stamps_ns.append(stamp_ns)
-        values.append(value)
-    if reason and not values:
-        raise BagError(f"{bag.path}: {topic.name}: no message can be decoded: {reason}")
-    return np.frombuffer(log_times_ns, np.int64), np.frombuffer(stamps_ns, np.int64), np.frombuffer(values)
+        values.extend(sample)
+    if failure_counts and not values:
+        raise BagError(f"{bag.path}: {topic.name}: no message can be decoded: {next(iter(failure_counts))}")
+    if len(frames) > 1:
+        rule = "must be one, because several sensors cannot share a topic"
+        raise BagError(f"{bag.path}: {topic.name}: frame_id = {', '.join(sorted(frames))}: {rule}")
+    times_ns, force = np.frombuffer(log_times_ns, np.int64), np.frombuffer(values)
+    zero = ""
+    if axis == "norm" and topic.type != FLOAT64:
+        vectors = force.reshape(-1, 3)
+        unloaded = vectors[(times_ns <= times_ns[:1] + UNLOADED_NS) & np.isfinite(vectors).all(axis=1)]
+        offset = np.median(unloaded, axis=0) if len(unloaded) else np.zeros(3)
+        zero = " less ({:.1f}, {:.1f}, {:.1f})".format(*np.round(offset, 1) + 0.0)
+        with np.errstate(over="ignore", invalid="ignore"):  # damaged bags hold huge numbers
+            force = np.linalg.norm(vectors - offset, axis=1)
+    return _Messages(times_ns, np.frombuffer(stamps_ns, np.int64), force), zero
 
 
-def _sample(message: Any, kind: str, axis: str) -> tuple[int, float]:  # noqa: ANN401 - a class that the bag defines
-    if kind == FLOAT64:
-        return 0, float(message.data)
-    if kind == WRENCH:
-        return 0, _component(message.force, axis)
-    stamp = message.header.stamp
-    return int(stamp.sec) * NS + int(stamp.nanosec), _component(message.wrench.force, axis)
-
-
-def _component(force: Any, axis: str) -> float:  # noqa: ANN401 - a class that the bag defines
-    return math.hypot(force.x, force.y, force.z) if axis == "norm" else float(getattr(force, axis))
+def _frozen(stamps_ns: IntArray) -> BoolArray:
+    """Return a mask (n,) of the messages that repeat the stamp of the one before much longer than usual."""
+    is_new = np.diff(stamps_ns, prepend=stamps_ns[:1] - 1) != 0
+    run = np.cumsum(is_new) - 1
+    lengths = np.bincount(run)
+    is_long = lengths[run] > max(MIN_FROZEN_RUN, FROZEN_FACTOR * float(np.median(lengths)))
+    frozen: BoolArray = ~is_new & is_long & (stamps_ns != 0)
+    return frozen
 
 
 def _check_clock(log_times_ns: IntArray, stamps_ns: IntArray, origin: str) -> None:
@@ -146,15 +190,17 @@ def _step_text(log_time_ns: int, step_ns: float) -> str:
     return f"{line}; must be recorded without a clock step"
 
 
-def _sort(log_times_ns: IntArray, stamps_ns: IntArray, values: FloatArray, origin: str) -> tuple[IntArray, FloatArray]:
-    """Return stamps and values in the order of the stamps; invalid stamps are left out."""
-    differences_ns = stamps_ns - log_times_ns
+def _sort(messages: _Messages, bag: Bag, topic: Topic) -> tuple[IntArray, FloatArray]:
+    """Return stamps and force in the order of the stamps; messages with invalid stamps are left out."""
+    differences_ns = messages.stamps_ns - messages.log_times_ns
     head_ns = np.sort(differences_ns[:HEAD])
     deviation_ns = differences_ns - head_ns[(len(head_ns) - 1) // 2]
-    valid = np.abs(deviation_ns) <= MAX_DELAY_NS
-    for start, stop in true_runs(~valid).tolist():
+    invalid = np.abs(deviation_ns) > MAX_DELAY_NS
+    for start, stop in true_runs(invalid).tolist():
         if stop - start >= CLOCK_STEP_RUN:
             at = start + CLOCK_STEP_RUN - 1
-            raise BagError(f"{origin}: {_step_text(log_times_ns[at], deviation_ns[at])}")
-    order = np.argsort(stamps_ns[valid], kind="stable")
-    return stamps_ns[valid][order], values[valid][order]
+            raise BagError(f"{bag.path}: {topic.name}: {_step_text(messages.log_times_ns[at], deviation_ns[at])}")
+    problem = f"{topic.name}: the stamp deviates from the log time by more than {MAX_DELAY_NS / NS:g} s"
+    _, stamps_ns, force = messages.without(invalid, problem, bag)
+    order = np.argsort(stamps_ns, kind="stable")
+    return stamps_ns[order], force[order]

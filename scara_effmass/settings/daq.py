@@ -5,14 +5,15 @@ from __future__ import annotations
 
 import re
 from enum import Enum
+from typing import Literal
 
 from pydantic import field_validator
 from pydantic_core import PydanticCustomError
 
 from scara_effmass.settings.loading import FrozenSettings, fixed, tunable
 
-AXIS = "^([xyz]|norm)$"
-UNIT = "^(|N|kN|lbf|kgf|V|mV)$"
+Axis = Literal["x", "y", "z", "norm"]
+Unit = Literal["", "N", "kN", "daN", "lbf", "kgf", "V", "mV"]
 
 
 class ForceSourceKind(str, Enum):
@@ -130,8 +131,8 @@ class BagSettings(FrozenSettings):
 
     path: str = fixed("", "bag with ForceBlocks or wrenches: rosbag2 folder, .mcap, .db3 or .bag")
     topic: str = fixed("", "topic of the ForceBlocks, or of the wrenches if there are none; empty: the only one")
-    axis: str = fixed("z", "force of a wrench: x, y, z, or norm, |F| without a sign", pattern=AXIS)
-    unit: str = fixed("", "unit of wrenches: N, kN, lbf, kgf, V or mV; empty: N", pattern=UNIT)
+    axis: Axis = fixed("z", "force of a wrench: x, y, z, or norm, |F - F0| without a sign, F0 from the first second")
+    unit: Unit = fixed("", "unit of wrenches: N, kN, daN, lbf, kgf, V or mV; empty: N")
     rate: float = fixed(1.0, "multiple of the recorded speed; 0: as fast as possible", ge=0.0, le=1e3)
     subscriber_timeout: float = fixed(3.0, "how long to wait for a subscriber before playing [s]", ge=0.0, le=3600.0)
     stamps: Stamps = fixed(Stamps.RECORDED, "recorded, or now: as if measured now; relative stamps are always now")
@@ -178,11 +179,9 @@ class ImportSettings(FrozenSettings):
     """Select the force in a file, and state what the file does not."""
 
     topic: str = tunable("", "topic, CSV column or TDMS channel of the force; empty: the only one")
-    axis: str = tunable("z", "force of a wrench: x, y, z, or norm, |F| without a sign", pattern=AXIS)
-    unit: str = tunable(
-        "",
-        "unit of the values: N, kN, lbf, kgf, V or mV; empty: as the file states, N for messages",
-        pattern=UNIT,
+    axis: Axis = tunable("z", "force of a wrench: x, y, z, or norm, |F - F0| without a sign, F0 from the first second")
+    unit: Unit = tunable(
+        "", "unit of the values: N, kN, daN, lbf, kgf, V or mV; empty: as the file states, N for messages"
     )
     time_column: str = tunable("", "CSV column, or TDMS channel, of the times; empty: that beside the force")
     rate: float = tunable(0.0, "constant rate of a file without times [Hz]; 0: the file has times", ge=0.0, lt=1e7)

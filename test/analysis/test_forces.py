@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from scara_effmass.analysis.forces import ForceTrace, file_traces, read_force, shown
+from scara_effmass.bags.batches import LossLog
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.settings import ImportSettings
@@ -56,10 +57,36 @@ def test_trace_ends_at_the_next_impact(tmp_path: Path) -> None:
             message = block(number, 10 * number)
             bag.write("/force", FORCE_BLOCK, message.stamp_ns, force_block_message(message))
     onsets_ns = [START_NS + 5 * MS, START_NS + 2 * MS]  # the contacts of a protocol can be in any order
-    later, earlier = file_traces(tmp_path / "bag", ImportSettings(), onsets_ns, 10.0)
+    later, earlier = file_traces(tmp_path / "bag", ImportSettings(), onsets_ns, 10.0, LossLog())
     assert (earlier.time[0], earlier.time[-1]) == pytest.approx((-2e-3, 3e-3))
     assert (later.time[0], later.time[-1]) == pytest.approx((-5e-3, 4.9e-3))
     assert np.ptp(earlier.force) == 50.0
+
+
+@pytest.mark.parametrize("missing", [None, 5])
+def test_a_trace_across_a_lost_block_is_not_complete(tmp_path: Path, missing: int | None) -> None:
+    with BagWriter(tmp_path / "bag") as bag:
+        for number in range(10):
+            message = block(number, 10 * number)
+            if number != missing:
+                bag.write("/force", FORCE_BLOCK, message.stamp_ns, force_block_message(message))
+    (trace,) = file_traces(tmp_path / "bag", ImportSettings(), [START_NS + 2 * MS], 10.0, LossLog())
+    assert trace.complete == (missing is None)
+    with open_bag(tmp_path / "bag") as bag:
+        forces = read_force(bag)
+    assert forces is not None
+    assert forces.lost == (10 if missing else 0)
+
+
+def test_no_trace_of_a_file_is_complete_of_which_a_part_cannot_be_read(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as bag:
+        for number in range(10):
+            data = force_block_message(block(number, 10 * number))
+            bag.write("/force", FORCE_BLOCK, START_NS + number * MS, data if number < 9 else data[:20])
+    losses = LossLog()
+    (trace,) = file_traces(tmp_path / "bag", ImportSettings(), [START_NS + 2 * MS], 10.0, losses)
+    assert not trace.complete
+    assert ["left out" in loss for loss in losses] == [True]
 
 
 @pytest.mark.parametrize("end", [-1e-3, 0.0])

@@ -5,7 +5,7 @@ import json
 import re
 import time
 from collections.abc import Callable, Iterator
-from datetime import timedelta
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -13,17 +13,20 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
 
 from scara_effmass.analysis.protocol import Evaluation, Plan, Protocol, missing, protocol_yaml, read_protocol
 from scara_effmass.analysis.protocol_evaluation import evaluate, evaluated, overall, repetitions, write_report
 from scara_effmass.analysis.report import PageOptions
 from scara_effmass.analysis.validation import ValidationSettings, validate
+from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import ImportSettings, MonitorSettings, ValidatorSettings
 from scara_effmass.values import ContactAssessment, ForceBlock, JointState, Verdict, severity
+from scara_effmass.wire.force import force_block_message
+from scara_effmass.wire.message_types import FORCE_BLOCK
 from test.analysis.conftest import RAW, Altered, changed, content
 
 HAND_LIMIT_N = 280.0
@@ -319,6 +322,22 @@ def test_a_report_draws_the_curves_of_files_that_were_named_by_hand(tmp_path: Pa
     assert page.count("<polyline") == 1
     assert "1, 2, 1.csv: topic = Kraft (N): must be one of Time (s), Force (N), Other (N)" in page
     assert "1, 3, 2.csv: no force at the time of the contact: state raw_offset_s" in page
+    values["tests"][0]["results"]["repetitions"][2]["raw_offset_s"] = 1e300
+    with pytest.raises(ValidationError, match="raw_offset_s"):
+        Protocol.model_validate(values)
+
+
+def test_a_report_says_which_part_of_a_file_cannot_be_read(tmp_path: Path) -> None:
+    values = content()
+    item = values["tests"][0]["results"]["repetitions"][0]
+    onset_ns = round(datetime.fromisoformat(item["time"]).timestamp() * 1e9)
+    with BagWriter(tmp_path / "force.mcap") as bag:
+        for number in range(10):
+            stamp_ns = onset_ns + (number - 5) * 10**8
+            data = force_block_message(ForceBlock(stamp_ns, "cell", 100 * number, 1e3, np.arange(100.0), source="test"))
+            bag.write("/force", FORCE_BLOCK, stamp_ns, data if number < 9 else data[:20])
+    item |= {"raw_data": "force.mcap", "raw_sha256": None, "raw_channel": None}
+    assert "1, 1, force.mcap: /force: left out: " in report_page(values, tmp_path)
 
 
 PIXEL = bytes.fromhex(

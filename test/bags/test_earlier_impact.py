@@ -45,7 +45,7 @@ def test_an_impact_of_an_earlier_version_is_read(tmp_path: Path) -> None:
         assert list(bag.impacts("/impact")) == [EARLIER]
         assert bag.losses == ()
     found = recorded_contacts(path, ImportSettings(), DetectionSettings())
-    assert (found.contacts, found.problems) == ((EARLIER,), (NO_BLOCKS,))
+    assert (found.contacts, found.losses, found.doubts) == ((EARLIER,), (), (NO_BLOCKS,))
 
 
 def test_an_impact_of_this_version_is_read(tmp_path: Path) -> None:

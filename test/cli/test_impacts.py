@@ -7,10 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from nptdms import ChannelObject, TdmsWriter
 
+from scara_effmass.bags.writer import BagWriter
+from scara_effmass.wire.message_types import WRENCH_STAMPED
+from test.bags.messages import header, message, serialized
 from test.cli.conftest import Cli, Refused
 
 CASES = Path(__file__).parents[1] / "recordings" / "contacts"
+BAGS = Path(__file__).parents[2] / "bags"
 CLAMPING = CASES / "impact_then_clamping_50N_2s.csv"
 
 
@@ -57,17 +62,50 @@ def test_a_wrong_sign_is_said(cli: Cli, tmp_path: Path) -> None:
     force = np.random.default_rng(0).normal(0.0, 0.1, 8_000)
     force[3_000:3_020] -= 120.0 * np.sin(np.pi * np.arange(20) / 20.0)
     path = written(tmp_path / "force.csv", force)
-    assert "read the sensor's file with --invert" in cli("impacts", path).stdout
+    assert "read files and wrenches with --invert" in cli("impacts", path).stdout
     (contact,) = json.loads(cli("impacts", path, "--invert", "--json").stdout)["recordings"][0]["contacts"]
     assert contact["peak_force_n"] == pytest.approx(120.0, abs=1.0)
 
 
+@pytest.mark.parametrize("name", ["force.tdms", "force.mcap", "wrench.mcap"])
+def test_a_part_that_cannot_be_read_is_said(cli: Cli, tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    if name == "force.tdms":
+        properties = {"wf_increment": 1e-3, "unit_string": "N"}
+        with TdmsWriter(path) as writer:
+            writer.write_segment([ChannelObject("g", "c", np.random.default_rng(0).normal(size=8_000), properties)])
+    elif name == "force.mcap":
+        (source,) = (BAGS / "campaign" / "300_-200_2390g_1").glob("*.mcap")
+        path.write_bytes(source.read_bytes())
+    else:
+        vector = message("geometry_msgs/msg/Vector3", {"x": 0.0, "y": 0.0, "z": 0.0})
+        wrench = message("geometry_msgs/msg/Wrench", {"force": vector, "torque": vector})
+        with BagWriter(path) as bag:
+            for number in range(8_000):
+                stamp_ns = 10**18 + number * 10**6
+                content = {"header": header(stamp_ns, "ft"), "wrench": wrench}
+                bag.write("/wrench", WRENCH_STAMPED, stamp_ns, serialized(WRENCH_STAMPED, content))
+    assert json.loads(cli("impacts", path, "--json").stdout)["recordings"][0]["complete"]
+    path.write_bytes(path.read_bytes()[: path.stat().st_size * 45 // 100])
+    (recording,) = json.loads(cli("impacts", path, "--json").stdout)["recordings"]
+    assert not recording["complete"]
+    assert "cut off" in recording["problems"][0]
+    assert re.search(rf"not read +{path}: (is )?cut off", cli("impacts", path).stdout)
+
+
 def test_recordings_of_the_nodes_are_read(cli: Cli) -> None:
-    bag = Path(__file__).parents[2] / "bags" / "campaign" / "300_-200_2390g_1"
+    bag = BAGS / "campaign" / "300_-200_2390g_1"
     (recording,) = json.loads(cli("impacts", bag, "--json").stdout)["recordings"]
     assert recording["simulated"]
     assert [contact["rebound"] for contact in recording["contacts"]] == list(range(len(recording["contacts"])))
     assert recording["contacts"][0]["peak_force_n"] == pytest.approx(406.0, abs=1.0)
+
+
+def test_force_blocks_need_no_import_settings(refused: Refused) -> None:
+    line = refused("impacts", BAGS / "campaign" / "300_-200_2390g_1", "--invert")
+    assert line.endswith(
+        ": /force: sensor.invert = True: must not be stated, scara_effmass_msgs/msg/ForceBlock states it"
+    )
 
 
 def test_the_threshold_is_an_option(cli: Cli, refused: Refused, tmp_path: Path) -> None:
@@ -77,6 +115,4 @@ def test_the_threshold_is_an_option(cli: Cli, refused: Refused, tmp_path: Path) 
     found = [json.loads(cli("impacts", path, "--json", *more).stdout)["contacts"] for more in ((), ("--threshold", 1))]
     assert found == [0, 1]
     assert "--threshold: 0: must be a number > 0" in refused("impacts", path, "--threshold", 0)
-    assert "must hold scara_effmass_msgs/msg/ForceBlock" in refused(
-        "impacts", CASES.parents[2] / "bags" / "straight_300_200"
-    )
+    assert "must hold scara_effmass_msgs/msg/ForceBlock" in refused("impacts", BAGS / "straight_300_200")

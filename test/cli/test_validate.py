@@ -177,6 +177,20 @@ def test_force_files_are_as_many_as_recordings(refused: Refused, campaign: Path)
     line = refused("validate", campaign, "-o", "report", "--force-from", "cell.csv")
     assert line == "argument --force-from: 1 files: must be 6, as many as BAGs"
     assert "--force-offset: soon: must be a number" in refused("validate", "a", "-o", "b", "--force-offset", "soon")
+    assert "1e300: must be a number from -2147483647" in refused("validate", "a", "-o", "b", "--force-offset", "1e300")
+
+
+@pytest.mark.parametrize(
+    ("options", "problem"),
+    [
+        (("--force-offset", "1"), "argument --force-offset: 1: must come with --force-from"),
+        (("--fixed", "--obstacle-mass", "3"), "argument --fixed: must not come with --obstacle-mass 3"),
+    ],
+)
+def test_options_that_contradict_each_other_are_refused(
+    refused: Refused, campaign: Path, options: tuple[str, ...], problem: str
+) -> None:
+    assert refused("validate", campaign, "-o", "report", *options) == problem
 
 
 def test_force_beside_a_recording(cli: Cli, campaign: Path, tmp_path: Path) -> None:
@@ -189,6 +203,12 @@ def test_force_beside_a_recording(cli: Cli, campaign: Path, tmp_path: Path) -> N
     report = json.loads((tmp_path / "report" / "report.json").read_text(encoding="utf-8"))
     assert abs(report["recordings"][0]["force_offset"]) < 1e-3
     assert len(report["impacts"]) == 1
+    path = tmp_path / "force.mcap"
+    path.write_bytes(path.read_bytes()[: path.stat().st_size * 95 // 100])
+    done = cli("validate", run, "--force-from", path, "--force-offset", "0", "-o", "cut")
+    assert f"not read        {path}: cut off" in done.stdout
+    report = json.loads((tmp_path / "cut" / "report.json").read_text(encoding="utf-8"))
+    assert "cut off" in report["recordings"][0]["losses"][0]
 
 
 @pytest.mark.parametrize(("option", "value"), [("--obstacle-mass", "-1"), ("--stiffness-n-m", "nan")])

@@ -57,6 +57,7 @@ def test_plain_file_becomes_blocks_of_100_ms(tmp_path: Path, delimiter: str, nam
         ("t,Force (kgf)", "", 9.80665),
         ("t,f", "kN", 1e3),
         ("t,load (left)", "N", 1.0),
+        ("t,Kraft (daN)", "", 10.0),
     ],
 )
 def test_unit_is_that_of_the_header_or_the_setting(tmp_path: Path, header: str, unit: str, newtons: float) -> None:
@@ -142,8 +143,8 @@ def test_samples_at_the_end_of_the_range_are_marked(tmp_path: Path) -> None:
         ("t,f (N)\nnan,1\n", {}, "line 2: t = nan: must not be less than -inf"),
         ("t,f (N)\n1,1\n1,2\n", {}, r"f \(N\): its times do not advance"),
         ("t,f (N)\n0,nan\n1,nan\n", {}, r"f \(N\): has no finite sample"),
-        ("t,f\n0,1\n", {}, "f: states no unit; unit must be one of N, kN, lbf, kgf, V, mV"),
-        ("t,f (oz)\n0,1\n", {}, r"f \(oz\): has the unit 'oz'; convert it, or set unit to one of N, kN, lbf, kgf"),
+        ("t,f\n0,1\n", {}, "f: states no unit; state --unit, one of N, kN, daN, lbf, kgf, V, mV"),
+        ("t,f (oz)\n0,1\n", {}, r"f \(oz\): has the unit 'oz'; convert it, or state --unit, one of N, kN, daN, lbf"),
         ("t,f_lbf\n0,1\n", {"unit": "N"}, "f_lbf: unit = N: must be empty, the file states lbf"),
         ("t,f (kN)\n0,1\n", {"unit": "N"}, r"f \(kN\): unit = N: must be empty, the file states kN"),
         ("t,f (N)\n0,1\n1e308,2\n", {}, "line 3: t = 1e308: must be within 2147483647 s of 1970 or of the start"),
@@ -157,6 +158,19 @@ def test_samples_at_the_end_of_the_range_are_marked(tmp_path: Path) -> None:
         ("t,a (N),a (N)\n0,1,2\n", {"topic": "a (N)"}, "must be a name that only one column has"),
         ("t,a (N)\n0,1\n", {"topic": "t"}, "topic = time_column = t: must be two columns"),
         ("t\0,f\n", {}, "must be text in UTF-8"),
+        ("t,Force,Setpoint (N)\n0,1,2\n", {}, "Force: states no unit; state --unit"),
+        ("t,Force,Supply (V)\n0,1,2\n", {}, "Force: states no unit; state --unit"),
+        ("t,F,Limit_N\n0,1,2\n", {}, "F: states no unit; state --unit"),
+        ("t,Kraft (oz),Excitation (V)\n0,1,2\n", {}, r"Kraft \(oz\): has the unit 'oz'; convert it, or state --unit"),
+        ("time_s,sample_n,force\n0,1,2\n", {}, "force: states no unit; state --unit"),
+        ("t,Force (N),force_limit (N)\n0,1,2\n", {}, r"empty: must be one of Force \(N\), force_limit \(N\)"),
+        ("t,a,Supply (V)\n0,1,2\n", {}, r"topic is empty: must be one of a, Supply \(V\)"),
+        ("t,a (N),Supply (V)\n0,1,2\n", {}, r"topic is empty: must be one of a \(N\), Supply \(V\)"),
+        ("t,f (N)\n0,1\n", {"rate": 50.0}, "rate = 50: must be empty, the file has times: t"),
+        ("t,f (N)\n0,1\n", {"axis": "x"}, "axis = x: must not be stated, a column has no axes"),
+        ("f (N)\n0\n1\n", {"rate": 1e-12}, "line 3: rate = 1e-12: must be larger, the file lasts over 2147483647 s"),
+        ("0,204\n-0,256\n", {"rate": 1e3, "header": False}, "line 1: is one number with a decimal comma, or two"),
+        ("sep=|\nt|f (N)\n0|1\n", {}, r"line 1: sep = \|: must be a comma, a semicolon or a tab"),
     ],
 )
 def test_bad_table_is_refused_in_one_line(tmp_path: Path, text: str, settings: dict[str, Any], message: str) -> None:
@@ -267,11 +281,12 @@ def test_one_column_needs_a_rate(tmp_path: Path, mark: str) -> None:
     assert force_of(imported(path, rate=1000.0)) == [n + 0.5 for n in range(50)]
 
 
-def test_constant_rate_counts_rows_without_a_value_as_lost(tmp_path: Path) -> None:
-    rows = [f"{n},x" if not 60 <= n < 70 else ",x" for n in range(300)]
+@pytest.mark.parametrize("empty", [",x", ""])
+def test_constant_rate_counts_rows_without_a_value_as_lost(tmp_path: Path, empty: str) -> None:
+    rows = [f"{n},x" if not 60 <= n < 70 else empty for n in range(300)]
     blocks = imported(write(tmp_path / "cell.csv", "\n".join(["f (N),note", *rows])), rate=1000.0, topic="f (N)")
     assert lost_in(blocks) == [(70, 10)]
-    with pytest.raises(SettingsError, match="rate = 1000: must be empty, time_column has the times"):
+    with pytest.raises(SettingsError, match="rate = 1000: must be empty, the file has times: note"):
         imported(tmp_path / "cell.csv", rate=1000.0, time_column="note")
 
 
@@ -288,7 +303,9 @@ def test_file_without_header(tmp_path: Path, delimiter: str) -> None:
         imported(path)
 
 
-@pytest.mark.parametrize("header", ["Zeit, s;Kraft, N", "Time (s);Force (N)", "Zeit (s)\tKraft (N)"])
+@pytest.mark.parametrize(
+    "header", ["Zeit, s;Kraft, N", "Time (s);Force (N)", "Zeit (s)\tKraft (N)", "sep=;\nTime (s);Force (N)"]
+)
 def test_decimal_comma(tmp_path: Path, header: str) -> None:
     delimiter = "\t" if "\t" in header else ";"
     lines = [f"{n / 100:.2f}{delimiter}{n / 4}".replace(".", ",") for n in range(100)]

@@ -75,6 +75,15 @@ class TestFile:
         with pytest.raises(BagError, match="must have times that advance"):
             imported(write(path, text(seconds=(5, 0))))
 
+    def test_a_file_without_times_needs_a_rate(self, tmp_path: Path) -> None:
+        path = write(tmp_path / "a.lvm", text().replace("0.01", "0"))
+        with pytest.raises(BagError, match=r"Force: Delta_X = 0: must be .*; without times, state --rate HZ"):
+            imported(path)
+        assert [(b.sample_rate, force_of([b])) for b in imported(path, rate=50.0)] == [(50.0, [0.5, 1.5, 2.5])]
+        for columns in ("No", "One"):
+            with pytest.raises(SettingsError, match="Force: rate = 50: must be empty, the file has times"):
+                imported(write(path, text(columns=columns)), rate=50.0)
+
     def test_a_pickle_beside_it_is_not_read(self, tmp_path: Path) -> None:
         (tmp_path / "a.lvm.pkl").write_bytes(b"cos\nsystem\n(S'touch /tmp/never'\ntR.")
         assert len(force_of(imported(write(tmp_path / "a.lvm", text())))) == 3

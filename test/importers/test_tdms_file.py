@@ -16,6 +16,14 @@ from test.importers.conftest import NS, force_of, imported, lost_in
 START = np.datetime64("2024-03-01T12:00:00.000250", "us")
 START_NS = int(START.astype("datetime64[ns]").astype(np.int64))
 TIMING = {"wf_start_time": START, "wf_increment": 1 / 12_800, "unit_string": "N"}
+SCALED = {
+    "NI_Number_Of_Scales": 1,
+    "NI_Scale[0]_Scale_Type": "Linear",
+    "NI_Scale[0]_Linear_Slope": 0.01,
+    "NI_Scale[0]_Linear_Y_Intercept": 0.0,
+    "NI_Scale[0]_Linear_Input_Source": 0,
+}
+"""A scale whose input is its own output."""
 FORCE = np.linspace(-1.0, 200.0, 3000)
 
 
@@ -96,7 +104,11 @@ def test_values_that_are_not_finite_are_lost(tmp_path: Path) -> None:
             {},
             "g/c: wf_start_time = 2040-01-01T00.*: must be",
         ),
-        ({"g/c": {"unit_string": "kip"}}, {}, "g/c: has the unit 'kip'; convert it, or set unit to one of N, kN, lbf"),
+        ({"g/c": {"unit_string": "kip"}}, {}, "g/c: has the unit 'kip'; convert it, or state --unit, one of N, kN"),
+        ({"g/Kraft": {"unit_string": "kip"}, "g/b": {"unit_string": "V"}}, {}, "g/Kraft: has the unit 'kip'"),
+        ({"g/c": {}}, {"header": False}, "header = False: must not be stated"),
+        ({"g/c": {"wf_increment": 0.0}}, {"rate": 1e-12}, "rate = 1e-12: must be larger, the file lasts over"),
+        ({"g/c": SCALED}, {}, "cannot be read: maximum recursion depth exceeded"),
         ({"g/c": {}}, {"unit": "kN"}, "g/c: unit = kN: must be empty, the file states N"),
         ({"g/a": {}, "g/b": {}}, {}, "topic is empty: must be one of g/a, g/b"),
         ({"g/a": {}}, {"topic": "g/x"}, "topic = g/x: must be one of g/a"),

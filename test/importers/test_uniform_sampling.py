@@ -76,6 +76,13 @@ def test_samples_of_a_burst_are_spread_over_their_time() -> None:
     assert 2e-3 < max(block.clock_residual for block in blocks) < 6e-3
 
 
+def test_a_burst_every_50_ms_is_no_rate_of_1_mhz() -> None:
+    numbers = np.arange(4000)
+    sample_rate, blocks = sampled(T0 + numbers // 50 * 50_000_000 + numbers % 50 * 1000)
+    assert sample_rate == pytest.approx(1000.0, rel=1e-3)
+    assert sum(block.lost_samples for block in blocks) == 0
+
+
 def test_stall_is_not_a_gap() -> None:
     period_ns = 1_000_000
     true_ns = T0 + np.arange(3000) * period_ns

@@ -11,7 +11,7 @@ from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.typesys import Stores, get_typestore
 
 from scara_effmass.bags.writer import BagWriter
-from scara_effmass.errors import BagError
+from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.importers.force import import_force
 from scara_effmass.settings import ImportSettings
 from scara_effmass.values import RunInfo
@@ -78,8 +78,44 @@ def test_wrench_gives_the_selected_axis_at_the_rate_of_its_stamps(tmp_path: Path
     assert blocks[0].sample_rate == pytest.approx(500.0)
     assert blocks[0].source == "run, /wrench force.z"
     assert set(force_of(imported(path, axis="y"))) == {2.0}
-    assert force_of(imported(path, axis="norm")) == pytest.approx([(1.0 + 4.0 + n * n) ** 0.5 for n in range(1000)])
-    assert imported(path, axis="norm")[0].source == "run, /wrench force.norm"
+    # without the median force of the first second, to which the sensor's bias belongs
+    assert force_of(imported(path, axis="norm")) == pytest.approx([abs(n - 250.0) for n in range(1000)])
+    assert imported(path, axis="norm")[0].source == "run, /wrench force.norm less (1.0, 2.0, 250.0)"
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"rate": 5.0}, "rate = 5.0: must not be stated, messages have times"),
+        ({"time_column": "t"}, "time_column = t: must not be stated, messages have times"),
+        ({"header": False}, "header = False: must not be stated, messages have times"),
+        ({"axis": "norm", "sensor.invert": True}, "sensor.invert = True: must not be stated, a norm has no sign"),
+    ],
+)
+def test_a_setting_without_effect_is_refused(tmp_path: Path, settings: dict[str, Any], message: str) -> None:
+    path = write(tmp_path / "run", wrenches(TIMES_NS, TIMES_NS))
+    with pytest.raises(SettingsError, match=f"run: /wrench: {message}"):
+        imported(path, **settings)
+
+
+def test_wrenches_of_two_sensors_are_refused(tmp_path: Path) -> None:
+    left = wrenches(TIMES_NS[::2], TIMES_NS[::2])
+    stamped = {"header": header(TIMES_NS[1], "up"), "wrench": wrench(0.0)}
+    other = ("/wrench", WRENCH_STAMPED, TIMES_NS[99], serialized(WRENCH_STAMPED, stamped))
+    path = write(tmp_path / "run", [*left, other])
+    with pytest.raises(BagError, match="run: /wrench: frame_id = ft, up: must be one"):
+        imported(path)
+
+
+def test_messages_with_a_frozen_stamp_are_left_out_with_their_largest_value(tmp_path: Path) -> None:
+    stamps_ns = T0 + np.arange(1000) * MS
+    log_times_ns = stamps_ns.copy()
+    stamps_ns[501:597] = stamps_ns[500]
+    file, blocks = import_force(write(tmp_path / "run", wrenches(stamps_ns, log_times_ns)), ImportSettings())
+    assert lost_in(list(blocks)) == [(597, 96)]
+    (loss,) = file.losses()
+    assert "/wrench: the stamp is frozen: messages left out: 96, from 1700000000.501000 s on" in loss
+    assert loss.endswith(", values up to 596.0")
 
 
 def test_messages_are_sorted_gaps_counted_and_invalid_stamps_left_out(tmp_path: Path) -> None:
@@ -92,7 +128,12 @@ def test_messages_are_sorted_gaps_counted_and_invalid_stamps_left_out(tmp_path: 
     invalid = {5: 0, 700: T0 - 3600 * NS, 1500: T0 + 3600 * NS}
     for at, stamp_ns in invalid.items():
         stamps_ns[at] = stamp_ns
-    blocks = imported(write(tmp_path / "run", wrenches(stamps_ns, np.sort(log_times_ns[kept]))))
+    path = write(tmp_path / "run", wrenches(stamps_ns, np.sort(log_times_ns[kept])))
+    file, imported_blocks = import_force(path, ImportSettings())
+    blocks = list(imported_blocks)
+    (loss,) = file.losses()
+    assert "deviates from the log time by more than 5 s: messages left out: 3, from " in loss
+    assert loss.endswith("values up to 1500.0")
     expected = np.delete(kept, np.searchsorted(kept, swapped[list(invalid)]))
     order = {int(number): at for at, number in enumerate(swapped)}
     assert force_of(blocks) == [float(order[int(number)]) for number in expected]
@@ -158,7 +199,10 @@ def test_voltage_topic_is_divided_by_the_sensitivity(tmp_path: Path) -> None:
 def test_message_that_cannot_be_decoded_is_lost(tmp_path: Path) -> None:
     messages = floats(TIMES_NS)
     messages[40] = (*messages[40][:3], TRUNCATED)
-    assert lost_in(imported(write(tmp_path / "some", messages))) == [(41, 1)]
+    file, blocks = import_force(write(tmp_path / "some", messages), ImportSettings())
+    assert lost_in(list(blocks)) == [(41, 1)]
+    (loss,) = file.losses()
+    assert ": /load: left out: std_msgs/msg/Float64 cannot be decoded" in loss
     broken: Messages = [(*entry[:3], TRUNCATED) for entry in messages]
     with pytest.raises(BagError, match=r"all: /load: no message can be decoded: .*std_msgs/msg/Float64"):
         imported(write(tmp_path / "all", broken))
