@@ -116,13 +116,13 @@ def _fill(args: argparse.Namespace) -> int:
     target, folder = args.output or args.protocol, args.protocol.parent
     overwrite = args.force or target == args.protocol
     check_output_path(target, overwrite=overwrite, mark=MARK)
-    protocol = read_protocol(args.protocol)
+    protocol, losses = read_protocol(args.protocol), list[str]()
     if args.bags:
-        protocol = _filled(args, protocol)
+        protocol, losses = _filled(args, protocol)
     protocol = evaluated(protocol, folder)
     with atomic_file(target, overwrite=overwrite, mark=MARK) as path:
         path.write_text(protocol_yaml(protocol), encoding="utf-8")
-    return _printed(protocol, {"output": str(target)}, target, as_json=args.json)
+    return _printed(protocol, {"output": str(target), "losses": losses}, target, as_json=args.json)
 
 
 def _report(args: argparse.Namespace) -> int:
@@ -136,7 +136,8 @@ def _report(args: argparse.Namespace) -> int:
 def _printed(protocol: Protocol, result: dict[str, Any], written: Path, *, as_json: bool) -> int:
     """Print the verdicts; return the exit status."""
     content = record(protocol)
-    lines: list[tuple[str, object]] = [("verdict", content["verdict"])]
+    lines: list[tuple[str, object]] = [("not read", loss) for loss in result.get("losses", ())]
+    lines += [("verdict", content["verdict"])]
     for test in protocol.tests:
         if evaluation := test.results.evaluation:
             lines += [(evaluation.verdict, f"{test.id}: {reason}") for reason in evaluation.reasons]
@@ -144,8 +145,11 @@ def _printed(protocol: Protocol, result: dict[str, Any], written: Path, *, as_js
     return 0 if content["verdict"] == Verdict.OK.name else NOT_OK
 
 
-def _filled(args: argparse.Namespace, protocol: Protocol) -> Protocol:
-    """Return `protocol` with the contacts of the recordings in one test. Raises EffmassError."""
+def _filled(args: argparse.Namespace, protocol: Protocol) -> tuple[Protocol, list[str]]:
+    """Return `protocol` with the contacts of the recordings in one test, and what could not be read.
+
+    Raises EffmassError.
+    """
     origin = str(args.protocol)
     if not protocol.tests:
         raise SettingsError(f"{origin}: tests: must state a test for the contacts")
@@ -169,5 +173,7 @@ def _filled(args: argparse.Namespace, protocol: Protocol) -> Protocol:
     if test.point.contact_point in dynamics.contact_points:
         validator = override(settings.validator, {"contact_point": test.point.contact_point})
         settings = replace(settings, validator=validator)
-    contacts = repetitions(validated(args, settings), settings.force, args.protocol.parent, presses=is_held)
-    return protocol.replaced(test.with_results(repetitions=contacts))
+    validation = validated(args, settings)
+    contacts = repetitions(validation, settings.force, args.protocol.parent, presses=is_held)
+    losses = [loss for recording in validation.recordings for loss in recording.losses]
+    return protocol.replaced(test.with_results(repetitions=contacts)), losses

@@ -63,6 +63,8 @@ def test_a_wrong_sign_is_said(cli: Cli, tmp_path: Path) -> None:
     force[3_000:3_020] -= 120.0 * np.sin(np.pi * np.arange(20) / 20.0)
     path = written(tmp_path / "force.csv", force)
     assert "read files and wrenches with --invert" in cli("impacts", path).stdout
+    assert "read files and wrenches without --invert" in cli("impacts", written(path, -force), "--invert").stdout
+    written(path, force)
     (contact,) = json.loads(cli("impacts", path, "--invert", "--json").stdout)["recordings"][0]["contacts"]
     assert contact["peak_force_n"] == pytest.approx(120.0, abs=1.0)
 

@@ -110,6 +110,13 @@ def test_fill_takes_a_clamped_contact_as_one(cli: Cli, campaign: list[Path], tmp
     assert item.transient_peak_n == pytest.approx(65.0, abs=1.0)
     assert item.force_beyond_0_5_s_n == pytest.approx(64.0, abs=2.0)
     assert item.duration_s == pytest.approx(0.62, abs=0.01)
+    with open_bag(tmp_path / "clamped.mcap") as bag, BagWriter(tmp_path / "damaged.mcap") as writer:
+        for message in bag.messages():
+            writer.write(*message)
+        writer.write("/force", FORCE_BLOCK, message.log_time_ns, data[:20])
+    done = cli("protocol", "fill", path, tmp_path / "damaged.mcap", "--force")
+    assert "/force: left out: " in done.stdout.partition("not read")[2].partition("verdict")[0]
+    assert read_protocol(path).tests[0].results.repetitions[0].force_beyond_0_5_s_n is None
 
 
 def test_fill_evaluates_what_was_typed_in(cli: Cli, protocol: Path, tmp_path: Path) -> None:
