@@ -12,6 +12,7 @@ from typing import Any
 import yaml
 
 from scara_effmass.errors import EffmassError
+from scara_effmass.url import Url
 
 try:  # ten times as fast, where PyYAML was built with libyaml
     from yaml import CSafeLoader as SafeLoader
@@ -37,9 +38,13 @@ def protect_inputs(*paths: Path) -> None:
 def check_not_input(path: Path, error: type[EffmassError]) -> None:
     """Raise `error` if the output `path` is an input of the running command, also by another name, or holds one."""
     for item in _INPUTS.get():
-        if path.resolve() in (resolved := item.resolve(), *resolved.parents) or (
-            path.exists() and item.exists() and path.samefile(item)
-        ):
+        if isinstance(path, Url) or isinstance(item, Url):
+            is_input = path in {item, *item.parents}
+        else:
+            resolved = item.resolve()
+            is_input = path.resolve() in {resolved, *resolved.parents}
+            is_input |= path.exists() and item.exists() and path.samefile(item)
+        if is_input:
             raise error(f"{path}: must not be the input {item}")
 
 

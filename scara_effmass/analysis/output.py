@@ -11,7 +11,7 @@ from scara_effmass.errors import OutputError
 from scara_effmass.input_files import check_not_input
 from scara_effmass.url import Url
 
-MARKS = {".parquet": b"PAR1", ".pdf": b"%PDF", ".png": b"\x89PNG", ".svg": b"<svg"}
+MARKS = {".pdf": b"%PDF", ".png": b"\x89PNG", ".svg": b"<svg"}
 """What a file of this suffix holds near its beginning."""
 HEAD_BYTES = 65536
 

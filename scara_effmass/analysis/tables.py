@@ -29,6 +29,8 @@ from scara_effmass.wire.message_types import CONTACT_STATES, RUN_INFO
 from scara_effmass.wire.run_info import run_info_message
 
 SUFFIXES = (".parquet", ".csv", ".mcap")
+MARKS = {".parquet": b"PAR1", ".csv": b"# scara_effmass_version: "}
+"""What a table holds near its beginning."""
 
 _INDICES = {Vector3: ("x", "y", "z"), Mobility6: ("xx", "xy", "xz", "yy", "yz", "zz")}
 
@@ -101,7 +103,7 @@ def open_writer(path: Path, origin: Mapping[str, str], frame: str, *, overwrite:
             yield _BagWriter(bag, origin, frame)
         return
     with (
-        atomic_file(path, overwrite=overwrite, mark=b"scara_effmass_version" * (path.suffix == ".csv")) as unfinished,
+        atomic_file(path, overwrite=overwrite) as unfinished,
         unfinished.open("wb") as file,
         open_table(file, path.suffix, SCHEMA if path.suffix == ".csv" else _ENCODED, origin) as table,
     ):

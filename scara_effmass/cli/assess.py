@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from scara_effmass.analysis.assessment import Time, input_lines
 from scara_effmass.analysis.dataset import BagResult, BagTask, assess_bag, assess_part, cell_of, remove_unfinished
+from scara_effmass.analysis.output import check_output_path
 from scara_effmass.analysis.summary import MAX_UNKNOWN_SHARE, Summary
-from scara_effmass.analysis.tables import open_writer, provenance
+from scara_effmass.analysis.tables import MARKS, open_writer, provenance
 from scara_effmass.bags.files import bag_bytes, find_bags
 from scara_effmass.cli.console import print_result
 from scara_effmass.cli.options import load_dynamics, monitor_settings, robot_line
@@ -159,6 +160,8 @@ def _into_file(
     run_tasks: Run,
 ) -> Iterator[Iterator[BagResult | EffmassError]]:
     """Give the results of the recordings. Several are assessed into files of their own, which are joined in order."""
+    if mark := MARKS.get(args.output.suffix):
+        check_output_path(args.output, overwrite=args.force, mark=mark)
     with ExitStack() as stack:
         table = stack.enter_context(open_writer(args.output, origin, dynamics.robot.base_frame, overwrite=args.force))
         if len(paths) == 1 and args.scheduler is None:

@@ -201,7 +201,7 @@ def test_nothing_is_overwritten_and_nothing_half_written(
 ) -> None:
     folder = tmp_path / "report"
     folder.mkdir()
-    (folder / "exponent.svg").write_text("mine")
+    (folder / "exponent.svg").write_text("<svg>mine")
     refused = r"exponent\.svg: already exists; use --force to replace it"
     with pytest.raises(OutputError, match=refused):
         check_output_files(folder, FILES, overwrite=False)
@@ -216,7 +216,7 @@ def test_nothing_is_overwritten_and_nothing_half_written(
     with pytest.raises(OutputError, match="no room"):
         write_report(validation, SETTINGS, dynamics.robot, folder, overwrite=True)
     assert [path.name for path in folder.iterdir()] == ["exponent.svg"]
-    assert (folder / "exponent.svg").read_text() == "mine"
+    assert (folder / "exponent.svg").read_text() == "<svg>mine"
 
 
 def test_the_folder_must_not_be_a_file(tmp_path: Path) -> None:

@@ -21,10 +21,10 @@ from test.cli.conftest import Cli, Refused
 def fast_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Seven fast seconds of the tour, through a stretched pose."""
     path = tmp_path_factory.mktemp("advise") / "fast.mcap"
-    q, qd = sample_moves(tour_moves(), 50)
-    start = 780 + int(np.abs(qd[780:820]).max(axis=1).argmin())
-    rows = [(q[start], 0.0 * q[start])] * 25 + list(zip(q[start:1150], qd[start:1150], strict=True))
-    states = (JointState(EPOCH_NS + number * 20_000_000, JOINTS, *row) for number, row in enumerate(rows))
+    q, qd = sample_moves(tour_moves(), 25)
+    start = 390 + int(np.abs(qd[390:410]).max(axis=1).argmin())
+    rows = [(q[start], 0.0 * q[start])] * 13 + list(zip(q[start:575], qd[start:575], strict=True))
+    states = (JointState(EPOCH_NS + number * 40_000_000, JOINTS, *row) for number, row in enumerate(rows))
     write_recording(path, RunInfo(stamp_ns=EPOCH_NS, simulated=True, note="test"), states, (), overwrite=False)
     return path
 

@@ -21,7 +21,8 @@ def test_counts_of_an_earlier_run_are_added(swing_bag: Path, cli: Cli, refused: 
     assert imread(tmp_path / "swing" / "coverage.png").shape[1] > 1000
     assert (tmp_path / "swing" / "coverage.json").stat().st_size < 5000
     earlier = tmp_path / "swing" / "coverage.json"
-    both = json.loads(cli("coverage", share("bags", "tour"), earlier, "-o", tmp_path / "both", "--json").stdout)
+    line = share("bags", "straight_300_200")
+    both = json.loads(cli("coverage", line, earlier, "-o", tmp_path / "both", "--json").stdout)
     swing = json.loads(earlier.read_text(encoding="utf-8"))
     assert both["joint_states"] > swing["joint_states"] > 900
     for name, covered in swing["covered"].items():
