@@ -166,7 +166,7 @@ def content(peak_n: float = 100.0) -> dict[str, Any]:
 def changed(value: Any, change: Any) -> Any:  # noqa: ANN401 - parts of a document
     """Return `value`, a part of a document, with the parts in `change` replaced."""
     if isinstance(change, dict):
-        return {**value, **{key: changed(value.get(key), part) for key, part in change.items()}}
+        return {**(value or {}), **{key: changed((value or {}).get(key), part) for key, part in change.items()}}
     if isinstance(change, list):
         return [changed(*pair) for pair in zip(value, change, strict=False)] + value[len(change) :]
     return change

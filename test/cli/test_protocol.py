@@ -2,11 +2,13 @@
 """`protocol`: init, fill, report and schema."""
 
 import json
+import os
 import shlex
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from scara_effmass.analysis.protocol import Protocol, protocol_yaml, read_protocol
 from scara_effmass.bags.files import open_bag
@@ -81,6 +83,7 @@ def test_fill_enters_simulated_contacts_which_stay_unknown(
     assert test.results.evaluation
     assert test.results.evaluation.reasons[1:] == ("simulated: nothing was measured on a robot",)
     assert test.results.evaluation.residual == pytest.approx(0.0, abs=0.03)
+    assert {item.raw_channel for item in test.results.repetitions} == {"/force"}
     assert "already filled in; use --force" in refused("protocol", "fill", path, *campaign)
     assert cli("protocol", "fill", path, *campaign, "--force").returncode == 1
 
@@ -181,3 +184,25 @@ def test_a_protocol_without_tests_takes_no_contacts(refused: Refused, swing_bag:
     path.write_text(protocol_yaml(Protocol.model_validate({**content(), "tests": []})), encoding="utf-8")
     line = refused("protocol", "fill", path, swing_bag)
     assert line.strip() == f"{path}: tests: must state a test for the contacts"
+
+
+@pytest.mark.parametrize(
+    ("entered", "problem"),
+    [
+        ({"raw_data": "/dev/zero", "raw_sha256": None}, "/dev/zero: cannot be read: must be a regular file"),
+        ({"raw_data": "pipe", "raw_sha256": None}, "pipe: cannot be read: must be a regular file"),
+        ({"force_beyond_0_5_s_n": 1e308}, "force_beyond_0_5_s_n = 1e+308: must be less than or equal to 1000000"),
+        ({"raw_import": {"rate": -1.0}}, "raw_import: rate = -1.0: must be greater than or equal to 0"),
+    ],
+)
+def test_what_cannot_be_a_contact_is_refused(
+    refused: Refused, protocol: Path, tmp_path: Path, entered: dict[str, object], problem: str
+) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    protocol.write_text(yaml.safe_dump(changed(content(), {"tests": [{"results": {"repetitions": [entered]}}]})))
+    assert problem in refused("protocol", "fill", protocol)
+
+
+def test_a_hint_takes_no_file_for_an_option(cli: Cli) -> None:
+    assert "protocol fill ./-d.yaml BAG" in cli("protocol", "init", "-o", "./-d.yaml").stdout
+    assert "doctor --params ./-c.yaml" in cli("init", "-o", "./-c.yaml").stdout
