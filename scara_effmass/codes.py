@@ -46,8 +46,9 @@ class Reason(IntEnum):
     NO_JOINT_STATE = 42
     ONLY_OTHER_JOINTS = 43  # values: duration [s], joint states of other devices; detail: their names
     OTHER_JOINTS_SINCE = 44  # the same, after joint states of the robot
-    UNMODELLED_MOTION = 45  # detail: joint outside the model
+    UNMODELLED_MOTION = 45  # detail: joint outside the model, and why it counts as moving
     UNSTATED_LOAD = 46  # detail: load by the torques, and the stated one
+    HELD_ELSEWHERE = 47  # values: position, that in the model [rad, m]; detail: joint that the model holds
     NO_MASSES = 50
     NO_LUMPED_MASS = 51  # values: why there is none
     NO_FULL_MASS = 52

@@ -33,6 +33,8 @@ CONTINUOUS_LIMIT = 1e6
 """Limit [rad] of a continuous joint read as revolute, for which Pinocchio uses one coordinate, as joint_states do."""
 LEFT_OUT = "links that contact_links leaves out: "
 """Start of the note on them."""
+MAX_VIRTUAL_M = 0.03
+"""Length of a link up to which it may only join two joints, without mass or geometry of its own."""
 _MAX_NUMBER = 1e6
 """Largest magnitude of a length, mass or inertia [SI]; beyond it the dynamics overflow."""
 _MAX_ROTOR_INERTIA = 1e6
@@ -59,11 +61,13 @@ class StatedLink(NamedTuple):
 class HeldJoint(NamedTuple):
     """A joint of the robot file that is fixed in the model.
 
-    `is_harmless`: its motion moves no more than a light part of the tool, and `locked_joints` names it.
+    `is_harmless`: its motion moves no more than a light part of the tool, and `locked_joints` names it. `position`
+    [rad, m] is where the model holds it, NaN if masses and geometry of the arm hardly depend on it.
     """
 
     name: str
     is_harmless: bool
+    position: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -97,6 +101,7 @@ class RobotDescription:
     `tip` is the end of the last link in the last joint's frame. `origin` names the file in errors, `stated` is what the
     file states of the assumptions, and `held` are its joints that the model does not move.
     `hulls` are the vertices (V, 3) [m] of the contact points that are links as a whole, in the frame of their joint.
+    `unwatched` are the moving links that `whole_arm` should watch, and cannot for lack of geometry.
     `tool_tip` is the contact point at the end of the longest chain, whose last joint may be one of a tool, as a jaw.
     `torque_constants` (n,) are torques [N m, N] per unit of effort; 1 where the file states none.
     """
@@ -115,6 +120,7 @@ class RobotDescription:
     held: tuple[HeldJoint, ...] = ()
     tool_tip: str = ""
     hulls: Mapping[str, FloatArray] = field(default_factory=dict)
+    unwatched: tuple[str, ...] = ()
 
 
 def matching_links(links: Sequence[str], globs: Sequence[str], setting: str, which: str) -> list[str]:
@@ -254,3 +260,11 @@ def numbers_of(
     if max(map(abs, values)) > largest:
         raise RobotError(f"{name}: must be at most {largest:g}")
     return values
+
+
+def angles_of(origin: ET.Element, where: str) -> tuple[float, ...]:
+    """Return roll, pitch and yaw [rad] of an <origin>. Raises RobotError, which `where` begins, also for degrees."""
+    angles = numbers_of(origin, "rpy", where, 3, default="0 0 0")
+    if max(map(abs, angles)) > MAX_ANGLE_RAD:
+        raise RobotError(f"{where}: <origin rpy> = {origin.get('rpy')!r}: must be in radians, not in degrees")
+    return angles

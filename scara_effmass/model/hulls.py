@@ -21,7 +21,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from scara_effmass.errors import RobotError
-from scara_effmass.model.description import numbers_of
+from scara_effmass.model.description import angles_of, numbers_of
 from scara_effmass.values import MAX_VERTICES, BoolArray, FloatArray
 
 if TYPE_CHECKING:
@@ -34,6 +34,8 @@ _CORNER_PLANES = np.array([sum(1 << axis + 3 * (x > 0.0) for axis, x in enumerat
 """Planes through each corner of a cube: bits 0 to 2 are the negative sides, bits 3 to 5 the positive ones."""
 _MAX_PLANES = 50
 """Largest number of supporting planes, one bit of an integer each."""
+_MIN_DIRECTIONS = 2
+"""Number of axes along which geometry must extend: a plate does along two."""
 _FACETS, _SPREAD = 50, 100
 """Numbers of candidate normals: the largest facets of the convex hull, and directions spread over the sphere."""
 _GAP = 1e-7
@@ -141,14 +143,18 @@ def _points(element: ET.Element, where: str, package_dirs: Sequence[Path]) -> Fl
     shape, origin = element.find("geometry/*"), element.find("origin")
     if shape is None or shape.tag not in {*_ATTRIBUTES, "mesh"}:
         raise RobotError(f"{where}: <geometry>: must be one of {', '.join(_ATTRIBUTES)}, mesh")
+    sizes: tuple[float, ...] = ()
     if shape.tag == "mesh":
         points = _mesh_points(shape, where, package_dirs)
     else:
-        sizes = (numbers_of(shape, name, where, count) for name, count in _ATTRIBUTES[shape.tag].items())
-        points = shape_points(shape.tag, tuple(chain(*sizes)))
+        sizes = tuple(chain(*(numbers_of(shape, name, where, n) for name, n in _ATTRIBUTES[shape.tag].items())))
+        points = shape_points(shape.tag, sizes)
+    if min(sizes, default=0.0) < 0.0 or np.count_nonzero(np.ptp(points, axis=0)) < _MIN_DIRECTIONS:
+        text = " ".join(f"{key}={value!r}" for key, value in shape.attrib.items())
+        raise RobotError(f"{where}: <{shape.tag} {text}>: must have sizes > 0 m, but for one thickness")
     if origin is None:
         return points
-    rotation = pin.rpy.rpyToMatrix(np.array(numbers_of(origin, "rpy", where, 3, "0 0 0")))
+    rotation = pin.rpy.rpyToMatrix(np.array(angles_of(origin, where)))
     placed: FloatArray = points @ rotation.T + numbers_of(origin, "xyz", where, 3, "0 0 0")
     return placed
 

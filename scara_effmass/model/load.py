@@ -12,12 +12,19 @@ import numpy as np
 import pinocchio as pin
 
 from scara_effmass.errors import RobotError
-from scara_effmass.model.description import RobotDescription, StatedLink, inertia_tensor, matching_links
+from scara_effmass.model.description import MAX_VIRTUAL_M, RobotDescription, StatedLink, inertia_tensor, matching_links
 from scara_effmass.model.dh import load_dh
 from scara_effmass.model.hulls import shape_points, stated_hull
 from scara_effmass.model.joint_values import torque_constants
 from scara_effmass.model.light_ends import hold_light_end
-from scara_effmass.model.plausibility import InertialCheck, check_inertials, judge, triangle_error
+from scara_effmass.model.plausibility import (
+    MAX_DEGREES,
+    MIN_DEGREES,
+    InertialCheck,
+    check_inertials,
+    judge,
+    triangle_error,
+)
 from scara_effmass.model.robot import Robot
 from scara_effmass.model.urdf import load_urdf
 from scara_effmass.settings import PAYLOAD_CONTACT, MonitorSettings
@@ -25,10 +32,6 @@ from scara_effmass.settings.loading import nearest
 
 MAX_MOVING_JOINTS = 64
 """Largest number of joints of a model; the memory of its dynamics grows with its cube, 300 joints take 2.6 GB."""
-
-
-MAX_VIRTUAL_M = 0.03
-"""Length of a link without mass up to which it only joins two joints; a longer one lacks its mass."""
 
 
 class RobotFormat(Protocol):
@@ -79,9 +82,12 @@ def build_robot(stated: RobotDescription, settings: MonitorSettings) -> Robot:
     if not settings.moving_mass and not any(link.mass > 0.0 for link in links):
         rule = "every link must have its mass and centre of mass; or state moving_mass, for ISO's mass"
         raise RobotError(f"{origin}: the moving links have no mass: {rule}")
-    for joint in settings.position_limits:
+    for joint, (lower, upper) in settings.position_limits.items():
         if joint not in joints:
             raise RobotError(f"{origin}: joint_limits = {joint!r}: {nearest(joint, joints)}")
+        kind = stated.model.joints[joints.index(joint) + 1].shortname()
+        if kind.startswith("JointModelR") and MIN_DEGREES < upper - lower <= MAX_DEGREES:
+            raise RobotError(f"joint_limits = '{joint}={lower:g} {upper:g}': must be in radians, not in degrees")
     stated = _with_payload_shape(stated, settings)
     model = stated.model.copy()
     model.armature = np.diag(rotors.matrix)
@@ -118,16 +124,17 @@ def build_robot(stated: RobotDescription, settings: MonitorSettings) -> Robot:
         stated=stated.stated,
         held=stated.held,
         hulls=stated.hulls,
+        unwatched=stated.unwatched,
         torque_constants=torque_constants(settings.torque_constants, joints, stated.torque_constants),
     )
     if stated.tool_tip in contact_frames:
         robot = hold_light_end(robot, stated.tool_tip)
     judged = judge(robot)
     robot = replace(robot, reach=judged.reach, units_reason=judged.units, notes=(*robot.notes, *judged.notes))
-    if not judged.masses or robot.masses_reason:
-        return robot
-    reason = judged.masses
-    return replace(robot, masses_reason=reason, coms_reason=reason, inertias_reason=reason)
+    masses = robot.masses_reason or judged.masses
+    coms = robot.coms_reason or judged.masses or judged.inertials
+    inertias = robot.inertias_reason or judged.masses or judged.inertials
+    return replace(robot, masses_reason=masses, coms_reason=coms, inertias_reason=inertias)
 
 
 def _replace_masses(model: pin.Model, mass: float) -> None:

@@ -2,8 +2,8 @@
 """Judge the data of a robot file: inertias of bodies that can exist, and numbers in SI units.
 
 The bounds lie a factor of five or more beyond those of 50 published arms, legs and humanoids with reaches of 0.1 to
-1.3 m: 4 to 117 kg moving mass per reach cubed [kg/m3], links of at most 0.65 m, joint ranges of at most 20 rad, radii
-of gyration of 0.08 to 0.6 reaches.
+1.3 m: 4 to 117 kg moving mass per reach cubed [kg/m3], links of at most 0.65 m and at least 0.63 kg per length and
+reach squared [kg/m3], joint ranges of at most 20 rad, radii of gyration of 0.08 to 0.6 reaches.
 """
 
 import math
@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from scara_effmass.model.description import StatedLink, principal_moments
+from scara_effmass.model.description import MAX_VIRTUAL_M, StatedLink, principal_moments
 from scara_effmass.model.robot import Robot
 from scara_effmass.values import FloatArray
 
@@ -22,6 +22,8 @@ MAX_LINK_M, LONG_LINK_M = 10.0, 3.0
 MIN_REACH_M = 0.05
 MAX_DENSITY, HIGH_DENSITY, LOW_DENSITY, LIGHT_DENSITY, MIN_DENSITY = 3000.0, 600.0, 4.0, 2.0, 0.1
 """Moving mass over the cube of the reach [kg/m3]; below LIGHT_DENSITY the masses do not count."""
+LIGHT_LINK_DENSITY = 0.1
+"""Mass of a link over its length and the square of the reach [kg/m3] below which it does not count."""
 MAX_DISTANCE_M = 5.0
 """Distance of a centre of mass from its joint, or radius of gyration, if it also exceeds three reaches."""
 MIN_DEGREES, MAX_DEGREES = 50.0, 1500.0
@@ -79,13 +81,15 @@ def triangle_error(link: StatedLink) -> str:
 class Plausibility(NamedTuple):
     """Reach [m] from the first joint, why the units are certainly not SI (empty if they may be), and doubts.
 
-    `masses` states why the masses are too small for an arm of that reach, empty if they are not.
+    `masses` states why masses are too small for an arm of that reach, `inertials` why they are placeholders; empty if
+    they are not.
     """
 
     reach: float
     units: str
     notes: tuple[str, ...]
     masses: str = ""
+    inertials: str = ""
 
 
 def judge(robot: Robot) -> Plausibility:
@@ -112,7 +116,7 @@ def judge(robot: Robot) -> Plausibility:
         mobility = np.array(jacobians) @ np.linalg.pinv(np.array(matrices)) @ np.array(jacobians).swapaxes(1, 2)
         mass = float(np.median(3.0 / np.trace(mobility, axis1=1, axis2=2).clip(1e-12)))
     notes = (*_doubts(robot, reach, arm_reach, mass), *_joint_doubts(robot, gravity))
-    return Plausibility(reach, "", notes, _too_light(robot, arm_reach))
+    return Plausibility(reach, "", notes, _too_light(robot, arm_reach), _equal_links(robot))
 
 
 def _limits(robot: Robot) -> tuple[FloatArray, FloatArray]:
@@ -130,18 +134,50 @@ def _reach(robot: Robot, data: pin.Data, q: FloatArray) -> float:
 
 def _too_light(robot: Robot, reach: float) -> str:
     """Return why the moving mass is too small for an arm with this `reach` [m], empty if it is not."""
-    mass = robot.moving_mass + robot.payload_mass
-    if mass >= LIGHT_DENSITY * max(reach, MIN_REACH_M) ** 3:
-        return ""
-    return (
-        f"{mass:.3g} kg move at a reach of {reach:.3g} m, less than half as much as in the lightest arms: correct the "
-        "masses, or state moving_mass"
-    )
+    mass, reach_m = robot.moving_mass + robot.payload_mass, max(reach, MIN_REACH_M)
+    remedy = "correct the masses, or state moving_mass"
+    if mass < LIGHT_DENSITY * reach_m**3:
+        share = "less than half as much as in the lightest arms"
+        return f"{mass:.3g} kg move at a reach of {reach:.3g} m, {share}: {remedy}"
+    for name, length, body in _links(robot):
+        if length > MAX_VIRTUAL_M and 0.0 < body.mass < LIGHT_LINK_DENSITY * length * reach_m**2:
+            return (
+                f"{body.mass:.3g} kg in the {length:.3g} m long link behind {name}, less than a fifth of that in the "
+                f"lightest arms: {remedy}"
+            )
+    return ""
+
+
+def _equal_links(robot: Robot) -> str:
+    """Return which links have the same mass and inertia, but other lengths, empty if not three of them."""
+    links = [(name, length, body) for name, length, body in _links(robot) if body.mass > 0.0 and body.inertia.any()]
+    for _, _, first in links:
+        equal = [
+            link for link in links if link[2].mass == first.mass and np.array_equal(link[2].inertia, first.inertia)
+        ]
+        lengths = [length for _, length, _ in equal]
+        if len(equal) > 2 and min(lengths) < 0.9 * max(lengths):
+            names = ", ".join(name for name, *_ in equal)
+            return f"equal masses and inertias of unequal links, behind {names}: placeholders, not data"
+    return ""
+
+
+def _links(robot: Robot) -> Iterator[tuple[str, float, pin.Inertia]]:
+    """Yield joint, length [m] to the farthest next joint or to the tip, and inertia of each body."""
+    model = robot.model
+    for joint in range(1, model.njoints):
+        ends = [model.jointPlacements[child] for child in range(1, model.njoints) if model.parents[child] == joint]
+        ends += [robot.tip] if joint == model.njoints - 1 else []
+        length = max((float(np.linalg.norm(end.translation)) for end in ends), default=0.0)
+        yield model.names[joint], length, model.inertias[joint]
 
 
 def _wrong(robot: Robot, reach: float) -> Iterator[str]:
     """Yield what is certainly not in SI units."""
     link, length = _longest_link(robot)
+    name, extent = _longest_hull(robot)
+    if extent > MAX_LINK_M:
+        yield f"the geometry of {name} is {extent:.4g} m long: must be in metres, not in millimetres"
     if length > MAX_LINK_M:
         unit, factor = ("millimetres", 1e3) if length > 50.0 else ("centimetres", 1e2)
         yield f"{link} is {length:.4g} m long: must be in metres, not in {unit}"
@@ -174,6 +210,9 @@ def _doubts(robot: Robot, reach: float, arm_reach: float, mass: float) -> Iterat
     link, length = _longest_link(robot)
     if length > LONG_LINK_M or reach < MIN_REACH_M:
         yield f"check the lengths: reach {reach:.3g} m, {link} is {length:.3g} m long"
+    name, extent = _longest_hull(robot)
+    if extent > max(3.0 * reach, LONG_LINK_M):
+        yield f"check the geometry of {name}: {extent:.3g} m long, reach {reach:.3g} m"
     densities = [robot.moving_mass / max(length, MIN_REACH_M) ** 3 for length in (reach, arm_reach)]
     if not robot.masses_reason and (densities[0] > HIGH_DENSITY or densities[1] < LOW_DENSITY):
         yield f"check the masses: {robot.moving_mass:.3g} kg move at a reach of {reach:.3g} m"
@@ -214,6 +253,12 @@ def _longest_link(robot: Robot) -> tuple[str, float]:
     spans += [(model.names[frame.parentJoint], name, frame.placement) for name, frame in frames]
     start, end, placement = max(spans, key=lambda span: float(np.linalg.norm(span[2].translation)))
     return f"the link from {start} to {end}", float(np.linalg.norm(placement.translation))
+
+
+def _longest_hull(robot: Robot) -> tuple[str, float]:
+    """Return the contact with the longest geometry, and its length [m], 0 without any."""
+    extents = [(name, float(np.ptp(hull, axis=0).max())) for name, hull in robot.hulls.items()]
+    return max(extents, key=lambda hull: hull[1], default=("", 0.0))
 
 
 def _bodies(robot: Robot) -> Iterator[tuple[str, float, float, float]]:

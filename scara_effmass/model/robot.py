@@ -34,6 +34,7 @@ class Robot:
     empty if they are plausible. `units_reason` states what is certainly not in SI units: the monitor refuses the robot.
     `stated` is what the robot file states of the assumptions, `held` are its joints that the model does not move.
     `hulls` are the vertices (V, 3) [m] of contact points that are links as a whole, in the frame of their joint.
+    `unwatched` are the moving links that `whole_arm` should watch, and cannot for lack of geometry.
     `torque_constants` (n,) are torques [N m, N] per unit of effort in the joint states.
     `reach` [m] is the largest distance of `tip` and contact points from the first joint, over the sampled poses.
     """
@@ -57,6 +58,7 @@ class Robot:
     units_reason: str = ""
     held: tuple[HeldJoint, ...] = ()
     hulls: Mapping[str, FloatArray] = field(default_factory=dict)
+    unwatched: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:

@@ -6,9 +6,10 @@ Pinocchio's parser skips what it cannot read, with a message on stderr only, so 
 
 from __future__ import annotations
 
+import copy
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -21,12 +22,13 @@ from scara_effmass.input_files import read_text
 from scara_effmass.model.description import (
     CONTINUOUS_LIMIT,
     LEFT_OUT,
-    MAX_ANGLE_RAD,
+    MAX_VIRTUAL_M,
     ContactPoint,
     HeldJoint,
     RobotDescription,
     RotorInertia,
     StatedLink,
+    angles_of,
     contact_point,
     inertia_tensor,
     numbers_of,
@@ -34,7 +36,7 @@ from scara_effmass.model.description import (
     rotor_inertia,
     watched_links,
 )
-from scara_effmass.model.hulls import outer_vertices, package_folders, urdf_hulls
+from scara_effmass.model.hulls import LinkHull, outer_vertices, package_folders, urdf_hulls
 from scara_effmass.settings import WHOLE_ARM, MonitorSettings
 from scara_effmass.values import FloatArray
 
@@ -48,8 +50,11 @@ CHAIN_NOTES = (
     LEFT_OUT,
     "by their visual geometry",
     "no link has geometry",
+    "not watched for lack of geometry: ",
 )
 """Starts of the notes on which joints the model moves and which links are watched, and why."""
+MIN_SHARE, MIN_EXTENT = 0.01, 0.1
+"""Share of the moving mass from which on a link must have geometry, and extent of its geometry over its length."""
 MAX_JOINTS = 500
 """Largest number of joints in a file, fixed ones included; the time to check them grows with its square."""
 LIGHT_SHARE = 0.1
@@ -86,6 +91,7 @@ def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> RobotDescri
     `settings.armature` wins over the rotor inertia of the URDF. Raises RobotError.
     """
     tree = read_urdf(text, origin, settings.locked_joints, settings.position_limits)
+    _require_matches(settings.locked_joints, tree)
     notes, tip = list[str](), tree.tip(tree.base)
     entries = tuple(dict.fromkeys(entry for entry in settings.contact_points if entry != WHOLE_ARM))
     if not entries:
@@ -94,6 +100,7 @@ def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> RobotDescri
     points, links = tree.points(entries)
     tips = [tree.tip_beyond(link) for link in links]
     needed = {joint for tip in tips for joint in tree.chain(tip)}
+    tree.require_no_follower(needed)
     for name in sorted(needed):
         tree.require_movable(name)
     fixed = {name for name in tree.joints if tree.kind(name) != "fixed" and (name not in needed or name in tree.locked)}
@@ -103,7 +110,7 @@ def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> RobotDescri
         notes.append(
             f"the arm ends at its gripper, which branches or mimics and yields no more than held: {', '.join(parts)}"
         )
-    model = _reduced_model(tree, fixed)
+    model, positions = _reduced_model(tree, fixed)
     frames = {name: model.frames[model.getBodyId(name)] for name in tree.links}
     rotors = _rotors(tree, list(model.names)[1:], settings.armature)
     placed = []
@@ -113,7 +120,7 @@ def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> RobotDescri
             raise RobotError(f"{origin}: contact_points = {entry!r}: must not be fixed to the base{locked}")
         pose = frames[link].placement * pin.SE3(np.eye(3), np.array(point.at))
         placed.append((point.name, frames[link].parentJoint, pose))
-    hulls, hull_notes = _hulls(tree, frames, placed, settings)
+    hulls, unwatched, hull_notes = _hulls(tree, model, frames, placed, settings)
     notes += hull_notes
     moving = [link for link in tree.stated if frames[link.name].parentJoint > 0]
     mass = sum(link.mass for link in moving)
@@ -132,24 +139,31 @@ def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> RobotDescri
         stated=frozenset(),
         torque_constants=np.ones(model.nv),
         tool_tip=tip,
-        held=tuple(HeldJoint(name, tree.is_tool_joint(name, needed)) for name in sorted(fixed)),
+        held=tuple(
+            HeldJoint(
+                name, tree.is_tool_joint(name, needed), positions[name] if tree.shapes_arm(name, needed) else math.nan
+            )
+            for name in sorted(fixed)
+        ),
         hulls=hulls,
+        unwatched=unwatched,
     )
 
 
 def _hulls(
     tree: UrdfTree,
+    model: pin.Model,
     frames: Mapping[str, pin.Frame],
     placed: list[tuple[str, int, pin.SE3]],
     settings: MonitorSettings,
-) -> tuple[dict[str, FloatArray], list[str]]:
-    """Return the hulls of the links that `whole_arm` watches, and notes; append those links to `placed`.
+) -> tuple[dict[str, FloatArray], tuple[str, ...], list[str]]:
+    """Return the hulls of the links that `whole_arm` watches, what it does not watch, and notes.
 
-    The hull of a link that is a contact point, too, holds that point. Raises RobotError for geometry that cannot be
-    read, unless it is not asked for.
+    Append the links that it watches to `placed`. The hull of a link that is a contact point, too, holds that point.
+    Raises RobotError for geometry that cannot be read, unless it is not asked for.
     """
     if WHOLE_ARM not in (settings.contact_points or (WHOLE_ARM,)) or settings.contact_normal != "worst":
-        return {}, []
+        return {}, (), []
     path = Path(tree.origin)
     folders = package_folders(path if path.is_file() else None, [Path(folder) for folder in settings.package_dirs])
     try:
@@ -157,9 +171,12 @@ def _hulls(
     except RobotError as error:
         if settings.contact_points:
             raise
-        return {}, [f"only the tip is watched, not whole_arm: {str(error).removeprefix(f'{tree.origin}: ')}"]
+        return {}, (), [f"only the tip is watched, not whole_arm: {str(error).removeprefix(f'{tree.origin}: ')}"]
     if not found:
-        return {}, ["no link has geometry: only the contact points are watched"]
+        return {}, (), ["no link has geometry: only the contact points are watched"]
+    named = {joint for _, joint, _ in placed} if settings.contact_points else set[int]()
+    is_chosen = settings.contact_links != MonitorSettings.model_fields["contact_links"].default
+    unwatched = () if is_chosen else tuple(_unwatched(tree, model, frames, found, named))
     points, hulls = {name: (joint, pose) for name, joint, pose in placed}, dict[str, FloatArray]()
     watched, left_out = watched_links([hull.link for hull in found], settings.contact_links, tree.origin)
     for hull in (hull for hull in found if hull.link in watched):
@@ -173,7 +190,38 @@ def _hulls(
     notes += left_out
     if visual := [hull.link for hull in found if hull.source == "visual" and hull.link in hulls]:
         notes.append(f"by their visual geometry, without another: {', '.join(visual)}")
-    return hulls, notes
+    if unwatched:
+        remedy = "add it, name contact points there, or state contact_links"
+        notes.append(f"not watched for lack of geometry: {', '.join(unwatched)}: {remedy}")
+    return hulls, unwatched, notes
+
+
+def _unwatched(
+    tree: UrdfTree,
+    model: pin.Model,
+    frames: Mapping[str, pin.Frame],
+    found: Sequence[LinkHull],
+    named: Collection[int],
+) -> Iterator[str]:
+    """Yield the moving links with mass and without a hull, and those whose hulls are much shorter than the link.
+
+    A joint whose index is in `named` carries a contact point that the settings name.
+    """
+    shaped, seen = {hull.link for hull in found}, set(named)
+    masses = {link.name: link.mass for link in tree.stated if frames[link.name].parentJoint > 0}
+    for name, mass in masses.items():
+        joint = frames[name].parentJoint
+        if name not in shaped and joint not in named and mass > MIN_SHARE * sum(masses.values()):
+            seen.add(joint)
+            yield name
+    for joint in (joint for joint in range(1, model.njoints) if joint not in seen):
+        ends = [model.jointPlacements[child] for child in range(1, model.njoints) if model.parents[child] == joint]
+        ends += [frame.placement for frame in frames.values() if frame.parentJoint == joint]
+        length = max((float(np.linalg.norm(end.translation)) for end in ends), default=0.0)
+        hulls = [hull.vertices for hull in found if hull.joint == joint]
+        extent = float(np.ptp(np.concatenate(hulls), axis=0).max()) if hulls else 0.0
+        if length > MAX_VIRTUAL_M and extent < MIN_EXTENT * length:
+            yield f"the link behind {model.names[joint]}"
 
 
 def _rotors(tree: UrdfTree, joints: Sequence[str], entries: Sequence[str]) -> RotorInertia:
@@ -238,12 +286,20 @@ def _rotor_number(text: str | None, where: str) -> float:
     return value
 
 
-def _reduced_model(tree: UrdfTree, fixed: set[str]) -> pin.Model:
-    """Return Pinocchio's model with the joints `fixed` at zero, or at the limit nearest to zero."""
+def _reduced_model(tree: UrdfTree, fixed: set[str]) -> tuple[pin.Model, dict[str, float]]:
+    """Return Pinocchio's model with the joints `fixed` at zero, or at the limit nearest to it, and their positions."""
     try:
-        model = pin.buildModelFromXML(ET.tostring(tree.root, encoding="unicode"))
+        root = copy.deepcopy(tree.root)
+        for link in root.findall("link"):  # the parser prints messages on geometry, which the model does not need
+            for geometry in (*link.findall("visual"), *link.findall("collision")):
+                link.remove(geometry)
+        model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
         reference = np.clip(pin.neutral(model), model.lowerPositionLimit, model.upperPositionLimit)
-        return pin.buildReducedModel(model, [model.getJointId(name) for name in sorted(fixed)], reference)
+        joints = {name: model.getJointId(name) for name in sorted(fixed)}
+        # A continuous joint has cosine and sine, and is held at zero.
+        places = {name: (model.idx_qs[joint], model.nqs[joint]) for name, joint in joints.items()}
+        positions = {name: float(reference[index]) if size == 1 else 0.0 for name, (index, size) in places.items()}
+        return pin.buildReducedModel(model, list(joints.values()), reference), positions
     except (ValueError, RuntimeError) as error:  # RuntimeError includes that of elements nested too deeply
         raise RobotError(f"{tree.origin}: Pinocchio cannot read it: {' '.join(str(error).split())}") from None
 
@@ -311,13 +367,28 @@ class UrdfTree:
         for link in self.links:
             if len(set(self._chain_links(link))) != len(self._chain_links(link)):
                 raise RobotError(f"{origin}: link {link}: the joints above it must not form a loop")
+        mimics = {name: joint.find("mimic") for name, joint in self.joints.items() if self.kind(name) != "fixed"}
+        self._masters = {name: mimic.get("joint", "") for name, mimic in mimics.items() if mimic is not None}
+        """The joint that each joint with <mimic> follows."""
+        for name, master in self._masters.items():
+            if master not in self.joints:
+                raise RobotError(f"{origin}: joint {name}: mimic joint = {master!r}: must be a joint")
         self._masses = dict.fromkeys(self.joints, 0.0)
         for stated in self.stated:
             for name in self.chain(stated.name):
                 self._masses[name] += stated.mass
+            self._check_moments(stated)
         self.gripper = self._gripper_joints()
         """Joints of a gripper by its structure, see `_gripper_joints`, which are held as the locked ones are."""
         self.locked = self.named | self.gripper
+
+    def _check_moments(self, link: StatedLink) -> None:
+        """Raise RobotError for a negative principal moment of a `link` that moves."""
+        if any(self.kind(name) != "fixed" for name in self.chain(link.name)):
+            try:
+                principal_moments(link.inertia)
+            except ValueError as error:
+                raise RobotError(f"{self.origin}: link {link.name}: inertia: {error}") from None
 
     def points(self, entries: Sequence[str]) -> tuple[list[ContactPoint], list[str]]:
         """Return contact points and their links. Raises RobotError for a link that is not there."""
@@ -384,9 +455,23 @@ class UrdfTree:
 
         The joints `needed` move the contact points; they carry the tool, and none of them is a part of it.
         """
-        carriers = self._moving_above(joint) - self.locked
-        is_named = joint in self.named and joint not in needed
-        return is_named and not carriers.isdisjoint(needed) and self._is_light(self._masses[joint])
+        return joint in self.named and self._is_of_tool(joint, needed)
+
+    def _is_of_tool(self, joint: str, needed: Collection[str]) -> bool:
+        is_carried = not (self._moving_above(joint) - self.locked).isdisjoint(needed)
+        return is_carried and joint not in needed and self._is_light(self._masses[joint])
+
+    def shapes_arm(self, joint: str, needed: Collection[str]) -> bool:
+        """Return whether masses or geometry depend on where the model holds `joint`, or the direction of gravity does.
+
+        They do not on a slide below the arm, on a wheel beside it, and hardly on light parts of the tool. The joints
+        `needed` move the contact points.
+        """
+        moved = set(needed) - self.locked
+        if self.kind(joint) not in MOVING or self._is_of_tool(joint, needed) or joint in self.gripper:
+            return False
+        carries = self.kind(joint) != "prismatic" and any(joint in self._moving_above(other) for other in moved)
+        return carries or not self._moving_above(joint).isdisjoint(moved)
 
     def notes_on_tip(self, link: str) -> list[str]:
         """Return notes on the choice of `link` as the contact point."""
@@ -407,9 +492,7 @@ class UrdfTree:
         Wheels on a body that carries an arm, too, are none.
         """
         moving = {name for name in self.joints if self.kind(name) != "fixed"}
-        mimics = {name: self.joints[name].find("mimic") for name in moving}
-        coupled = {name for name, mimic in mimics.items() if mimic is not None}
-        coupled |= {mimic.get("joint", "") for mimic in mimics.values() if mimic is not None}
+        coupled = {*self._masters, *self._masters.values()}
         depths = dict.fromkeys(moving, 0)
         for link in self.links:
             for depth, name in enumerate((name for name in self.chain(link) if name in moving), start=1):
@@ -455,8 +538,21 @@ class UrdfTree:
                 f"{self.origin}: joint {joint}: type = {kind!r}: must be one of {', '.join(MOVING)}, fixed: describe "
                 "it by prismatic and continuous joints, or, if it never moves, hold it by locked_joints"
             )
-        if kind != "fixed" and joint not in self.locked and self.joints[joint].find("mimic") is not None:
+        if joint in self._masters and joint not in self.locked:
             raise RobotError(f"{self.origin}: joint {joint}: must not mimic another joint: fix it with locked_joints")
+
+    def require_no_follower(self, needed: Collection[str]) -> None:
+        """Raise RobotError for a joint that mimics one that the model moves, and is `needed` or named as locked.
+
+        Held, it would not follow. The joints of grippers are light enough for that.
+        """
+        for joint in sorted({*needed, *self.named} & self._masters.keys() - self.gripper):
+            master = self._masters[joint]
+            if master in needed and master not in self.locked:
+                raise RobotError(
+                    f"{self.origin}: joint {joint}: must not mimic {master}, which moves: remove <mimic>, and report "
+                    "the position of this joint in the joint states, too"
+                )
 
     def _joints_beyond(self, body: str, link: str) -> list[str]:
         """Return the joints from `link` up to the link `body`, none if `link` is not on it."""
@@ -475,9 +571,7 @@ def _check_pose(joint: ET.Element, where: str) -> None:
     pose, axis = joint.find("origin"), joint.find("axis")
     if pose is not None:
         numbers_of(pose, "xyz", where, 3, default="0 0 0")
-        angles = numbers_of(pose, "rpy", where, 3, default="0 0 0")
-        if max(map(abs, angles)) > MAX_ANGLE_RAD:
-            raise RobotError(f"{where}: <origin rpy> = {pose.get('rpy')!r}: must be in radians, not in degrees")
+        angles_of(pose, where)
     if (
         axis is not None
         and math.hypot(*numbers_of(axis, "xyz", where, 3)) < _MIN_AXIS_LENGTH
@@ -488,6 +582,14 @@ def _check_pose(joint: ET.Element, where: str) -> None:
 
 def _is_locked(joint: str, globs: Sequence[str]) -> bool:
     return any(fnmatchcase(joint.lower(), glob.lower()) for glob in globs)
+
+
+def _require_matches(globs: Sequence[str], tree: UrdfTree) -> None:
+    """Raise RobotError for a glob of locked_joints that matches no joint, unless it is a default one."""
+    joints = [name for name in tree.joints if tree.kind(name) != "fixed"]
+    for glob in set(globs).difference(MonitorSettings.model_fields["locked_joints"].default):
+        if not any(_is_locked(joint, [glob]) for joint in joints):
+            raise RobotError(f"{tree.origin}: locked_joints = {glob!r}: must match a joint: {', '.join(joints)}")
 
 
 def _add_limit(joint: ET.Element, limits: tuple[float, float] | None, *, is_locked: bool) -> None:
@@ -528,6 +630,8 @@ def _by_name(root: ET.Element, tag: str, origin: str) -> dict[str, ET.Element]:
         name = element.get("name", "")
         if not name or name in elements:
             raise RobotError(f"{origin}: {tag} {name!r}: must have a unique name")
+        if name == "universe":
+            raise RobotError(f"{origin}: {tag} universe: must have another name, which Pinocchio gives to the world")
         elements[name] = element
     return elements
 
@@ -551,14 +655,10 @@ def _stated(name: str, link: ET.Element, origin: str) -> list[StatedLink]:
         raise RobotError(f"{where}: <inertial> must have <mass> and <inertia>")
     com = (0.0, 0.0, 0.0) if pose is None else numbers_of(pose, "xyz", where, 3, default="0 0 0")
     if pose is not None:
-        numbers_of(pose, "rpy", where, 3, default="0 0 0")
+        angles_of(pose, where)
     (mass_kg,) = numbers_of(mass, "value", where, 1)
     if mass_kg < 0.0:
         raise RobotError(f"{where}: mass = {mass_kg:g}: must not be negative")
     keys = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
     tensor = inertia_tensor([numbers_of(inertia, key, where, 1)[0] for key in keys])
-    try:
-        principal_moments(tensor)
-    except ValueError as error:
-        raise RobotError(f"{where}: inertia: {error}") from None
     return [StatedLink(name, mass_kg, np.array(com), tensor)]

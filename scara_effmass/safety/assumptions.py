@@ -17,7 +17,7 @@ from scara_effmass.codes import Assumption
 from scara_effmass.model.lumping import lumped_suffices
 from scara_effmass.model.robot import Robot
 from scara_effmass.reference import RobotDynamics
-from scara_effmass.settings import PAYLOAD_CONTACT, MassModel, MonitorSettings
+from scara_effmass.settings import PAYLOAD_CONTACT, WHOLE_ARM, MassModel, MonitorSettings
 
 Codes = tuple[Assumption, ...]
 
@@ -70,9 +70,9 @@ RULES: Mapping[Assumption, Rule] = {
     Assumption.CONTACT_POINTS: Rule(
         is_permissive=True,
         parameters=("contact_points",),
-        text="contact points not stated, only the end of the arm is watched: --contact-point whole_arm, or each that "
-        "can hit",
-        is_stated=lambda robot: bool({*robot.hulls} - {PAYLOAD_CONTACT}),
+        text="contact points not stated, not every moving link is watched: --contact-point whole_arm with the geometry "
+        "of every link, or each that can hit",
+        is_stated=lambda robot: bool({*robot.hulls} - {PAYLOAD_CONTACT}) and not robot.unwatched,
     ),
     Assumption.MASSES: Rule(
         is_permissive=True,
@@ -149,6 +149,8 @@ def assumptions_of(robot: Robot, settings: MonitorSettings) -> Assumptions:
     """Return what neither the file of `robot` nor `settings` state."""
     # An empty list or topic states nothing.
     stated = {name for name in settings.model_fields_set if getattr(settings, name) not in ((), "")}
+    if robot.unwatched and WHOLE_ARM in settings.contact_points:
+        stated -= {"contact_points"}
     assumed = [
         code
         for code, rule in RULES.items()

@@ -77,11 +77,15 @@ class JointStateAdapter:
         for entry, (_, name) in zip(settings.joint_map, self._map, strict=True):
             if "\\" not in name and name not in self._joints:
                 raise SettingsError(f"joint_map = {entry!r}: {name}: {nearest(name, joints)}")
+        for name in settings.ignored_joints:
+            if name in joints:
+                raise SettingsError(f"ignored_joints = {name!r}: must not be a joint that the model moves")
         if self._joint_names:
             layout = self.layout(())
             missing = ", ".join(joint for joint in joints if joint not in layout.names)
-            if layout.reason is Reason.SEVERAL_NAMES or missing:
-                problem = f"joint_map gives joint {layout.detail}" if not layout.names else f"must hold {missing}"
+            is_ambiguous = layout.reason is Reason.SEVERAL_NAMES
+            if is_ambiguous or missing:
+                problem = f"joint_map gives joint {layout.detail}" if is_ambiguous else f"must hold {missing}"
                 raise SettingsError(f"joint_names = {', '.join(self._joint_names)}: {problem}")
         self.apply(settings)
 
@@ -171,6 +175,9 @@ class JointStateAdapter:
         index_of = {name: index for index, name in enumerate(names)}
         if len(index_of) != len(names):
             twice = next(name for index, name in enumerate(names) if index_of[name] != index)
+            mapped = dict.fromkeys(old for old, name in zip(reported, names, strict=True) if name == twice)
+            if len(mapped) > 1:
+                return refused(Reason.SEVERAL_NAMES, detail=f"{', '.join(mapped)} the same name: {twice}")
             return refused(Reason.NAMED_TWICE, detail=twice)
         missing = [index for index, joint in enumerate(self._joints) if joint not in index_of]
         if len(missing) == len(self._joints):

@@ -20,7 +20,7 @@ from scara_effmass.iso15066 import Limit, limits_of
 from scara_effmass.kernel import jit
 from scara_effmass.kernel.admission import METRES_PER_RADIAN, NANOSECONDS, WINDOW_S, admit, forget_all
 from scara_effmass.kernel.contact_kernel import ContactKernel, too_large
-from scara_effmass.kernel.other_joints import NOT_MOVING, OtherJoints
+from scara_effmass.kernel.other_joints import ELSEWHERE, MIN_SILENCE_NS, RESTS, Found, OtherJoints
 from scara_effmass.kernel.records import CONTACT, REASON_SIZE, IntArray
 from scara_effmass.kernel.settle import settle
 from scara_effmass.kernel.state import (
@@ -117,7 +117,8 @@ class Monitor:
         """Where the kernel disagreed with the reference, which works alone since then; empty if nowhere."""
         self._max_qdd = max_joint_accelerations(settings.max_joint_acceleration, robot.joint_names)
         self._adapter = JointStateAdapter(robot.joint_names, settings, robot.periods, robot.held)
-        self._others, self._other_places = OtherJoints(), dict[tuple[str, ...], tuple[IntArray, IntArray]]()
+        self._others = OtherJoints({joint.name: joint.position for joint in robot.held})
+        self._other_places = dict[tuple[str, ...], tuple[IntArray, IntArray]]()
         self._rules, self._memory = np.zeros(1, RULES), np.zeros(1, MEMORY)
         self._joints = np.zeros(robot.model.nv, JOINT_MEMORY)
         self._debounces = np.zeros(len(dynamics.contact_points), DEBOUNCE)
@@ -153,7 +154,7 @@ class Monitor:
         trial.motions[:, 1] = qd * (np.arange(TRIALS) % 3)[:, None]
         rules, memory, joints, debounces = (array.copy() for array in self._memory_bytes)
         try:
-            OtherJoints().compile()
+            OtherJoints({}).compile()
             admit(trial.states, trial.motions, rules, memory, joints)
             trial.records["is_admitted"] = 1
             self.compute(trial)
@@ -206,6 +207,8 @@ class Monitor:
         # Whether a joint outside the model turns or slides is unknown: the tolerance of one that slides counts.
         self._others.tolerance = METRES_PER_RADIAN * settings.position_tolerance
         self._others.max_speed = self._others.tolerance / WINDOW_S
+        self._others.held_tolerance = settings.position_tolerance
+        self._others.silence_ns = max(int(rules["timeout_ns"][0]), MIN_SILENCE_NS)
 
     def _use_dynamics(self) -> None:
         """Compute with the present settings and payload from the next joint state on."""
@@ -546,8 +549,8 @@ class Monitor:
         self._other_names = layout.names
         self._watch(layout, clocks, position, velocity)
 
-    def _watch(self, layout: Layout, clocks: IntArray, position: FloatArray, velocity: FloatArray) -> IntArray | None:
-        """Return which joint outside the model moves in each of N joint states, as `OtherJoints.watch`."""
+    def _watch(self, layout: Layout, clocks: IntArray, position: FloatArray, velocity: FloatArray) -> Found | None:
+        """Return which joint outside the model does not rest in each of N joint states, as `OtherJoints.watch`."""
         names = layout.names
         if names not in self._other_places:
             if len(self._other_places) == MAX_LAYOUTS:
@@ -612,20 +615,21 @@ class Monitor:
                     part["reason"][np.ix_(admitted, [CODE, DETAIL])] = doubt.reason, text
 
     def _refuse_unmodelled(self, records: Records, layout: Layout, position: FloatArray, velocity: FloatArray) -> None:
-        """Give the reason of joint states during which a joint outside the model moves."""
-        if not layout.others and not self._others.is_moving:
+        """Give the reason of joint states during which a joint outside the model moves, or rests elsewhere."""
+        if not layout.others and not self._others.has_seen:
             return
-        moving = self._watch(layout, np.ascontiguousarray(records["now_ns"]), position, velocity)
-        if moving is None:
+        found = self._watch(layout, np.ascontiguousarray(records["now_ns"]), position, velocity)
+        if found is None:
             return
-        reasons = records["reason"]
-        for number in np.unique(moving).tolist():
-            if number != NOT_MOVING:
-                rows = (moving == number) & (reasons[:, CODE] == Reason.NONE)
-                reasons[rows, CODE], reasons[rows, DETAIL] = (
-                    Reason.UNMODELLED_MOTION,
-                    self._detail(self._others.text(number)),
-                )
+        reasons, positions = records["reason"], found.positions
+        for number, state in {*zip(found.numbers.tolist(), found.states.tolist(), strict=True)}:
+            if state != RESTS:
+                rows = (found.numbers == number) & (found.states == state) & (reasons[:, CODE] == Reason.NONE)
+                is_held = state == ELSEWHERE
+                reasons[rows, CODE] = Reason.HELD_ELSEWHERE if is_held else Reason.UNMODELLED_MOTION
+                reasons[rows, DETAIL] = self._detail(self._others.text(number, state))
+                if is_held:
+                    reasons[rows, VALUES], reasons[rows, VALUES + 1] = positions[rows], self._others.held[number]
 
     def _unknown_state(self, reason: Reason, detail: str, stamp_ns: int, age: float, seconds: float) -> Pending:
         pending = self._new_pending(1)

@@ -40,7 +40,7 @@ REMEDIES = {
     Reason.POSITION_COUNT: DRIVER,
     Reason.VELOCITY_COUNT: DRIVER,
     Reason.NO_VELOCITY: VELOCITY,
-    Reason.LONE_POSITION: VELOCITY,
+    Reason.LONE_POSITION: "wait for the next joint state; publish them without gaps above `timeout`",
     Reason.SECOND_PUBLISHER: STAMPS,
     Reason.ZERO_STAMP: f"{STAMPS}; offline, `--time log` takes the recorder's time",
     Reason.FUTURE_STAMP: EARLY,
@@ -51,11 +51,14 @@ REMEDIES = {
     Reason.TWO_PUBLISHERS: "let one node alone publish on the topic that the reason names",
     Reason.POSITION_NOT_FINITE: DRIVER,
     Reason.VELOCITY_NOT_FINITE: DRIVER,
-    Reason.POSITION_LIMIT: "correct the limits in the robot file, or the zero position and unit of the driver",
+    Reason.POSITION_LIMIT: (
+        "correct the limits in the robot file, or the zero position and unit of the driver; declare a joint continuous "
+        "that is off by whole turns"
+    ),
     Reason.SPEED_LIMIT: "correct the maximum speed in the robot file, or the unit of the driver",
     Reason.VELOCITY_MISMATCH: (
         "check units, signs, order and filters of the velocities; raise `max_velocity_lag` or `position_tolerance` for "
-        "a slow or coarse sensor"
+        "a slow or coarse sensor; if the driver reports none, as zeros, set `--velocity from-positions`"
     ),
     Reason.UNCONFIRMED_ZERO: "wait until the joint has moved, or rested for 0.1 s",
     Reason.NO_COMMAND: COMMANDS,
@@ -73,6 +76,10 @@ REMEDIES = {
     Reason.UNMODELLED_MOTION: (
         "give a robot file with this joint and contact points that it moves; name it in `ignored_joints` only if it "
         "moves nothing that can hit a person"
+    ),
+    Reason.HELD_ELSEWHERE: (
+        "let the model move this joint by contact points beyond it and no `locked_joints`, or fix it in the robot file "
+        "where it is; name it in `ignored_joints` only if its position changes neither masses nor geometry"
     ),
     Reason.NO_MASSES: ROBOT_FILE,
     Reason.NO_LUMPED_MASS: MODEL,

@@ -96,6 +96,20 @@ def test_planar_base_is_refused_by_name_or_held(kind: str) -> None:
     assert not any(held.is_harmless for held in robot.held)
 
 
+def test_position_of_a_held_joint_counts_that_shapes_the_arm() -> None:
+    """Neither do wheels, nor a slide below the arm; a joint in the arm, a second arm on it and a leaning base do."""
+    other = link("arm", 2), joint("other", "l1", "arm", axis="0 1 0")
+    base = (
+        *(link("odom", 0), link("lift", 5), link("chassis", 60)),
+        joint("rise", "odom", "lift", "prismatic").replace("-2.9", "0.2"),
+        joint("lean", "lift", "chassis", axis="0 1 0").replace("-2.9", "0.1"),
+    )
+    robot = robot_of(*base, *WHEELS, *ARM, *other, contact_points=("tool",), locked_joints=("rise", "lean", "j2"))
+    positions = {held.name: held.position for held in robot.held}
+    nan = pytest.approx(float("nan"), nan_ok=True)
+    assert positions == {"rise": nan, "lean": 0.1, "j2": 0.0, "other": 0.0, "left_wheel": nan, "right_wheel": nan}
+
+
 BARE = [link(f"l{i}", 0) for i in range(4)]
 BARE += [joint(f"a{i}", f"l{i}", f"l{i + 1}", axis="0 1 0", place="0 0 0.3") for i in range(3)]
 BARE += [link("flange", 0), joint("end", "l3", "flange", "fixed", place="0.3 0 0")]

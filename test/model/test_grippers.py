@@ -145,15 +145,30 @@ def test_other_branches_end_no_arm(parts: list[str], points: tuple[str, ...], jo
     assert not any("gripper" in note or "counts as locked" in note for note in robot.notes)
 
 
-def test_mimic_joint_of_the_arm_is_refused() -> None:
-    """One that carries more than a tool is no finger."""
+@pytest.mark.parametrize(
+    ("points", "locked", "refusal"),
+    [
+        ((), (), "must not mimic shoulder_lift_joint, which moves"),
+        ((), ("elbow_joint",), "must not mimic shoulder_lift_joint, which moves"),
+        (("ee_link",), ("elbow_joint",), "must not mimic shoulder_lift_joint, which moves"),
+        (("ee_link",), ("shoulder_lift_joint",), "must not mimic another joint: fix it"),
+        (("ee_link",), ("elbow_joint", "shoulder_lift_joint"), ""),
+    ],
+)
+def test_mimic_joint_of_the_arm_is_refused_unless_its_master_rests(
+    points: tuple[str, ...], locked: tuple[str, ...], refusal: str
+) -> None:
+    """One that carries more than a tool is no finger; locked, it would not follow."""
     text = UR5.read_text(encoding="utf-8").replace(
         '<joint name="elbow_joint" type="revolute">',
         '<joint name="elbow_joint" type="revolute"><mimic joint="shoulder_lift_joint"/>',
     )
-    settings = MonitorSettings()
-    with pytest.raises(RobotError, match=r"joint elbow_joint: must not mimic another joint"):
-        parse_urdf(text, "ur5.urdf", settings)
+    settings = MonitorSettings(contact_points=points, locked_joints=locked)
+    if refusal:
+        with pytest.raises(RobotError, match=f"joint elbow_joint: {refusal}"):
+            parse_urdf(text, "ur5.urdf", settings)
+    else:
+        assert parse_urdf(text, "ur5.urdf", settings).model.nv == 4
 
 
 def test_arms_of_equal_length_are_named() -> None:

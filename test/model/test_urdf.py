@@ -330,7 +330,9 @@ class TestFixedJoints:
         ('<axis xyz="0 0 1"/>', '<axis xyz="0 1"/>', "joint j1: <axis xyz> = '0 1': must be 3 finite numbers"),
         ('type="revolute"', 'type="floating"', "joint j1: type = 'floating': must be"),
         ('type="revolute"', 'type="ball"', "joint j1: type = 'ball': must be"),
-        ('<axis xyz="0 0 1"/>', '<mimic joint="j3"/>', "joint j1: must not mimic another joint"),
+        ('<axis xyz="0 0 1"/>', '<mimic joint="j3"/>', "joint j1: must not mimic j3, which moves: remove <mimic>, and"),
+        ('<axis xyz="0 0 1"/>', '<mimic joint="j9"/>', "joint j1: mimic joint = 'j9': must be a joint"),
+        ("upper", "universe", "link universe: must have another name"),
         ('<parent link="tool"/>', '<parent link="tool"/><mimic joint="j1"/>', None),  # of a fixed joint
         ('mass value="2.0"', 'mass value="1000000"', None),
         (
@@ -344,6 +346,11 @@ class TestFixedJoints:
         ('<mass value="2.0"/>', "", "link fore: <inertial> must have <mass> and <inertia>"),
         ('izz="0.02272"', 'izz="inf"', "link fore: <inertia izz> = 'inf'"),
         ('izz="0.02272"', 'izz="-0.02272"', "link fore: inertia: principal moments .*must not be negative"),
+        (
+            'xyz="0.05775 0 0"',
+            'xyz="0.05775 0 0" rpy="0 90 0"',
+            "link fore: <origin rpy> = '0 90 0': must be in",
+        ),
         ('ixx="0.02"', "", "link upper: <inertia ixx> = '': must be 1 finite number"),
         ('xyz="0.05775 0 0"', 'xyz="0.05775 0"', "link fore: <origin xyz> = '0.05775 0': must be 3 finite numbers"),
         ('<origin xyz="0.275 0 0"/>', '<origin xyz="0.275 zero 0"/>', "joint j2: <origin xyz> = '0.275 zero 0'"),

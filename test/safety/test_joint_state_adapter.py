@@ -106,7 +106,7 @@ def test_map_that_gives_a_joint_several_names_gives_unknown(scara: RobotDynamics
     monitor = Monitor(scara, settings_of(joint_map=("a1=joint1",)))
     decision = monitor.assess(JointState(NOW, ("a1", *JOINTS), np.zeros(5), np.ones(5)), NOW)
     assert decision is not None
-    assert decision.contacts[0].reason == "joint joint1 is named twice"
+    assert decision.contacts[0].reason == "joint_map gives joint a1, joint1 the same name: joint1"
 
 
 @pytest.mark.parametrize(

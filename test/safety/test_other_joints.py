@@ -4,12 +4,15 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
+from scara_effmass.errors import SettingsError
 from scara_effmass.kernel.other_joints import MAX_NAMES, TOO_MANY, OtherJoints
+from scara_effmass.model.description import HeldJoint
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings, checked
@@ -98,6 +101,10 @@ class TestInTheSameJointState:
         assert decision is not None
         assert decision.scope.endswith(f"; motion does not count of {ignored}")
 
+    def test_joint_of_the_model_cannot_be_ignored(self, scara: RobotDynamics) -> None:
+        with pytest.raises(SettingsError, match="ignored_joints = 'joint2': must not be a joint that the model moves"):
+            monitor_of(scara, ignored_joints=("joint2",))
+
     def test_joint_is_ignored_by_the_reported_name_or_that_of_joint_map(self, scara: RobotDynamics) -> None:
         for name in ("track", "rack"):
             monitor = monitor_of(scara, ignored_joints=(name,), joint_map=("tra*=ra*",))
@@ -116,9 +123,10 @@ class TestInTheSameJointState:
             monitor.assess(JointState(stamp, (*JOINTS, *other.names), position, velocity), stamp)
         assert monitor.unmodelled_joints == ("left", "right")
 
-    def test_joint_without_position_and_velocity_may_move(self, scara: RobotDynamics) -> None:
-        blind = [Other(("rail",), (math.nan,), (math.nan,))] * 5
-        text = "joint rail (which shows neither position nor velocity) moves, but is not in the model"
+    @pytest.mark.parametrize("velocity", [math.nan, 0.0])
+    def test_joint_without_position_may_move(self, scara: RobotDynamics, velocity: float) -> None:
+        blind = [Other(("rail",), (math.nan,), (velocity,))] * 5
+        text = "joint rail may move (it shows no position), but is not in the model"
         assert set(run(monitor_of(scara), blind)) == {text}
 
     def test_wheel_at_rest_at_pi_does_not_move(self, scara: RobotDynamics) -> None:
@@ -169,6 +177,27 @@ class TestInJointStatesOfTheirOwn:
         monitor.reset()  # the device was taken away
         assert self.reason(monitor, 430) == ""
 
+    def test_device_at_rest_that_is_reported_no_more_may_move(self, scara: RobotDynamics) -> None:
+        """One that reports at 1 Hz stays usable."""
+        monitor, silent = monitor_of(scara), "joint swing may move (it is silent), but is not in the model"
+        reasons = []
+        for i in range(0, 3600, 10):
+            if i in {0, 1000, 2000, 3590}:
+                self.feed(monitor, i, 0.5, 0.0)
+            reasons.append(self.reason(monitor, i))
+        assert reasons == [""] * 351 + [silent] * 8 + [""]
+        for i in range(3600, 5100, 10):
+            self.reason(monitor, i)
+        assert self.reason(monitor, 5100) == silent
+        monitor.reset()  # the device was taken away
+        assert self.reason(monitor, 5110) == ""
+
+    def test_timeout_above_that_time_counts_for_other_devices_too(self, scara: RobotDynamics) -> None:
+        monitor = monitor_of(scara, timeout=2.0)
+        self.feed(monitor, 0, 0.5, 0.0)
+        assert [self.reason(monitor, i) for i in (0, 1000, 2000)] == [""] * 3
+        assert "may move" in self.reason(monitor, 2010)
+
     def test_clock_that_goes_back_ends_no_motion_and_holds_none(self, scara: RobotDynamics) -> None:
         monitor = monitor_of(scara)
         self.feed(monitor, 1000, 0.0, 0.5)
@@ -176,6 +205,18 @@ class TestInJointStatesOfTheirOwn:
         assert "swing moves" in self.reason(monitor, 10)
         self.feed(monitor, 101, 0.0, 0.0)
         assert self.reason(monitor, 110) == ""
+
+
+class TestHeldByTheModel:
+    @pytest.mark.parametrize(("position", "shown"), [(0.5, ""), (0.509, ""), (0.511, "0.511"), (-1.0, "-1")])
+    def test_joint_at_another_position_than_in_the_model_gives_unknown(
+        self, scara: RobotDynamics, position: float, shown: str
+    ) -> None:
+        robot = replace(scara.robot, held=(HeldJoint("rail", is_harmless=False, position=0.5),))
+        at_rest = [Other(("rail",), (position,), (0.0,))] * 5
+        reason = f"joint rail is at {shown}, but the model holds it at 0.5"
+        assert set(run(monitor_of(RobotDynamics(robot)), at_rest)) == {reason if shown else ""}
+        assert set(run(monitor_of(RobotDynamics(robot), ignored_joints=("rail",)), at_rest)) == {""}
 
 
 class TestAnotherArm:
@@ -197,7 +238,7 @@ class TestAnotherArm:
 
 
 def test_joints_beyond_the_memory_count_as_moving() -> None:
-    others, clocks = OtherJoints(), np.array([NOW])
+    others, clocks = OtherJoints({}), np.array([NOW])
     others.tolerance, others.max_speed = 0.0025, 0.0036
     zeros = np.zeros((1, 1))
     for i in range(MAX_NAMES - 1):
@@ -205,4 +246,4 @@ def test_joints_beyond_the_memory_count_as_moving() -> None:
     assert others.watch(last, clocks, zeros, zeros) is None
     beyond = others.watch(others.numbers(["one more"]), clocks, zeros, zeros)
     assert beyond is not None
-    assert [others.text(number) for number in beyond.tolist()] == [TOO_MANY]
+    assert others.text(int(beyond.numbers[0]), int(beyond.states[0])) == f"{TOO_MANY} moves"
