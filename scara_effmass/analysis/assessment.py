@@ -32,6 +32,7 @@ from scara_effmass.settings import MonitorSettings, VelocitySource
 from scara_effmass.values import BoolArray, Decision, FloatArray, JointState, Payload
 from scara_effmass.wire.message_types import INERTIA
 from scara_effmass.wire.payload import decode_payload
+from scara_effmass.wire.topics import JOINT_COMMANDS
 
 Names = tuple[str, ...]
 ROWS = 49_152
@@ -370,6 +371,21 @@ def input_lines(
         yield "velocity", f"filtered: mean {delay}"
     if time is not Time.LIVE:
         yield "time", "header stamps alone" if time is Time.HEADER else "log times in place of header stamps"
+
+
+def other_topic_lines(bag: Bag, topic: str, monitor: Monitor) -> Iterator[tuple[str, str]]:
+    """Yield subject and text of each topic with joint states other than `topic`, which `monitor` has assessed.
+
+    The text names the joints outside the model that moved there. The live monitor takes a single topic, too.
+    """
+    for other in bag.joint_state_topics:
+        if other == topic or other.endswith(JOINT_COMMANDS):
+            continue
+        watching = Monitor(monitor.dynamics, monitor.settings)
+        for block in bag.joint_state_blocks(other):
+            watching.watch_others(block.names, block.log_time_ns, block.position, block.velocity)
+        moved = ", ".join(watching.unmodelled_joints)
+        yield "other topic", f"{other} is not assessed{f', but joints outside the model moved: {moved}' * bool(moved)}"
 
 
 def payload_topics(bag: Bag, name: str) -> list[str]:

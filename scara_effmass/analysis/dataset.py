@@ -27,6 +27,7 @@ from scara_effmass.analysis.assessment import (
     generated_description,
     joint_state_topic,
     open_velocities,
+    other_topic_lines,
 )
 from scara_effmass.analysis.forces import RecordedForce, read_force
 from scara_effmass.analysis.output import atomic_file, check_output_path
@@ -121,6 +122,9 @@ def assess_bag(
         notes = [*skew.lines(settings, task.time)]
         if monitor.load_watch.estimate is not None:
             notes.append((LOAD_ENTRY, monitor.load_text))
+        notes += other_topic_lines(bag, topic, monitor)
+        if monitor.unmatched:
+            notes.append(("ignored joints", f"no joint state names {', '.join(monitor.unmatched)}"))
         result = BagResult(summary, counts, (), notes)
         result.unmodelled = monitor.unmodelled_joints
         if task.report:

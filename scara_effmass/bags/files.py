@@ -22,7 +22,7 @@ from scara_effmass.bags.batches import LossLog, MessageBatch, Topic, batch_of
 from scara_effmass.bags.compression import ZSTD_MAGIC, ZSTD_SUFFIXES, inflate, inflate_file
 from scara_effmass.bags.mcap_bag import MAGIC, McapBag
 from scara_effmass.errors import BagError
-from scara_effmass.input_files import YAML_ERRORS
+from scara_effmass.input_files import YAML_ERRORS, check_regular_file
 from scara_effmass.url import Url, local_file
 
 Reader = Ros1Reader | Ros2Reader
@@ -40,6 +40,8 @@ def find_bags(path: Path) -> list[Path]:
     try:
         if path.is_file() or is_rosbag2_folder(path):
             return [path]
+        if path.exists() and not path.is_dir():
+            check_regular_file(path, BagError)
         children = sorted(path.iterdir())
         bags = [p for p in children if is_rosbag2_folder(p) or (p.is_file() and _is_bag_name(p))]
     except FileNotFoundError:

@@ -26,6 +26,7 @@ from scara_effmass.cli.console import LEVEL_STYLES, print_findings, print_json, 
 from scara_effmass.cli.options import load_dynamics, monitor_settings
 from scara_effmass.codes import ModelCode
 from scara_effmass.errors import DaqError, EffmassError, LimitError, RobotError, SettingsError
+from scara_effmass.input_files import check_regular_file
 from scara_effmass.iso15066 import EDITION, TABLE_HASH, limits_for
 from scara_effmass.safety.assumptions import assumptions_of, deciding_mass, mass_source, scope
 from scara_effmass.settings import DaqSettings, ForceSourceKind, MassModel, MonitorSettings, load_settings
@@ -53,8 +54,9 @@ class CheckResult(NamedTuple):
 def run(args: argparse.Namespace) -> int:
     """Check the installation, the environment, the DAQ device and the robot; return 1 if the monitor cannot run."""
     settings = monitor_settings(args, others=("daq",))
-    if not settings.robot_path.is_file():
+    if not settings.robot_path.exists():
         raise RobotError(f"{settings.robot_path}: no such file; must be a URDF or DH YAML file")
+    check_regular_file(settings.robot_path, RobotError)
     if args.hulls:
         _check_picture(args.hulls, overwrite=args.force)
     cell, dynamics = cell_results(settings)

@@ -21,14 +21,13 @@ from scara_effmass.bags.files import open_bag
 from scara_effmass.cli.console import print_lines, print_table, progress_bar
 from scara_effmass.cli.doctor import cell_results, tightest
 from scara_effmass.cli.options import Option, monitor_settings, options_of, robot_line, shell_path
-from scara_effmass.codes import Assumption
 from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.iso15066 import BODY_REGIONS
 from scara_effmass.model.urdf import CHAIN_NOTES
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
-from scara_effmass.safety.assumptions import Assumptions, assumptions_of, name_of
-from scara_effmass.settings import WHOLE_ARM, DaqSettings, MonitorSettings, ValidatorSettings
+from scara_effmass.safety.assumptions import assumptions_of
+from scara_effmass.settings import DaqSettings, MonitorSettings, ValidatorSettings
 from scara_effmass.settings.loading import flat_fields
 from scara_effmass.wire.topics import JOINT_STATES
 
@@ -52,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     settings, dynamics = _checked(args)
     if sys.stdin.isatty():
         settings, dynamics = _interview(args, settings, dynamics)
-    settings, assumptions = _stated(settings, dynamics)
+    assumptions = assumptions_of(dynamics.robot, settings)
     lines = [robot_line(dynamics.robot, settings), ("contact points", ", ".join(dynamics.contact_points))]
     lines += [("", note) for note in dynamics.robot.notes if note.startswith(CHAIN_NOTES)]
     lines += [("tightest", text) for *_, text in tightest(dynamics, settings)]
@@ -84,18 +83,6 @@ def run(args: argparse.Namespace) -> int:
     return 1 if unknown else 0
 
 
-def _stated(settings: MonitorSettings, dynamics: RobotDynamics) -> tuple[MonitorSettings, Assumptions]:
-    """Return `settings` that state what the file holds and accept an unknown rotor inertia, and what is assumed."""
-    values = {name: getattr(settings, name) for name in _cell_names() if name in MonitorSettings.model_fields}
-    whole = (WHOLE_ARM,) if dynamics.robot.hulls else ()
-    values["contact_points"] = settings.contact_points or (*dynamics.robot.named_points, *whole)
-    stated = settings.model_copy(update=values)
-    if Assumption.ROTOR_INERTIA in assumptions_of(dynamics.robot, stated).assumed:
-        accepted = (*settings.accept_assumptions, name_of(Assumption.ROTOR_INERTIA))
-        stated = stated.model_copy(update={"accept_assumptions": accepted})
-    return stated, assumptions_of(dynamics.robot, stated)
-
-
 def _cell_names() -> list[str]:
     """Return the parameters of the monitor in the file."""
     return [*(option.dest for option in options_of("cell")), "tool_links"]
@@ -116,7 +103,11 @@ def _checked(args: argparse.Namespace) -> tuple[MonitorSettings, RobotDynamics]:
 def _interview(
     args: argparse.Namespace, settings: MonitorSettings, dynamics: RobotDynamics
 ) -> tuple[MonitorSettings, RobotDynamics]:
-    """Ask for each missing option until the answer is valid; return settings and robot, as `_checked`."""
+    """Ask for each missing option until the answer is valid; return settings and robot, as `_checked`.
+
+    The settings state what was asked, also where Enter chose the default.
+    """
+    asked = []
     for option in options_of("robot", "bag", "situation"):
         name = option.dest
         is_load = name in {"payload_com", "payload_inertia"}
@@ -126,6 +117,7 @@ def _interview(
             if not (problem := args.bag and _misfit(args, settings, dynamics)):
                 continue
             print_lines([("", problem)])
+        asked.append(name)
         links = [frame.name for frame in dynamics.robot.model.frames if frame.type.name == "BODY"]
         choices = {"body_regions": BODY_REGIONS, "contact_points": links or dynamics.contact_points}
         names = choices.get(name, option.keywords.get("choices"))
@@ -142,7 +134,8 @@ def _interview(
             except (EffmassError, ValueError, argparse.ArgumentTypeError) as error:
                 setattr(args, name, None)
                 print_lines([("", error)])
-    return settings, dynamics
+    answers = {name: getattr(settings, name) for name in asked if name in _cell_names()}
+    return settings.model_copy(update=answers), dynamics
 
 
 def _value(option: Option, text: str) -> Any:  # noqa: ANN401 - as argparse
@@ -177,7 +170,10 @@ def _recording(args: argparse.Namespace, settings: MonitorSettings, dynamics: Ro
 
 
 def _cell(settings: MonitorSettings, notes: Sequence[str]) -> str:
-    """Return the file: `notes`, and a section per node with each parameter below its description."""
+    """Return the file: `notes`, and a section per node with each parameter below its description.
+
+    A parameter of the monitor that neither options nor answers state is a comment: a default states nothing.
+    """
     values = settings.model_dump(mode="json")
     values["sensor.sensitivity"] = DaqSettings().sensor.sensitivity
     cell = _cell_names()
@@ -194,5 +190,6 @@ def _cell(settings: MonitorSettings, notes: Sequence[str]) -> str:
         for name in names:
             lines += wrap(fields[name].description or "", 118, initial_indent="    # ", subsequent_indent="    # ")
             value = yaml.safe_dump([values[name]], default_flow_style=True, width=math.inf, allow_unicode=True)
-            lines.append(f"    {name}: {value.strip()[1:-1]}")
+            is_stated = name in {*settings.model_fields_set, "robot", "sensor.sensitivity"}
+            lines.append(f"    {'' if is_stated else '# '}{name}: {value.strip()[1:-1]}")
     return "\n".join(lines) + "\n"

@@ -106,6 +106,8 @@ def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> RobotDescri
     fixed = {name for name in tree.joints if tree.kind(name) != "fixed" and (name not in needed or name in tree.locked)}
     if fixed:
         notes.append(f"held fixed in the model: {', '.join(sorted(fixed))}")
+    if tree.lost:
+        notes.append(f"mimic a joint that does not exist: {', '.join(tree.lost)}")
     if parts := sorted(tree.gripper & fixed - tree.named):
         notes.append(
             f"the arm ends at its gripper, which branches or mimics and yields no more than held: {', '.join(parts)}"
@@ -370,9 +372,8 @@ class UrdfTree:
         mimics = {name: joint.find("mimic") for name, joint in self.joints.items() if self.kind(name) != "fixed"}
         self._masters = {name: mimic.get("joint", "") for name, mimic in mimics.items() if mimic is not None}
         """The joint that each joint with <mimic> follows."""
-        for name, master in self._masters.items():
-            if master not in self.joints:
-                raise RobotError(f"{origin}: joint {name}: mimic joint = {master!r}: must be a joint")
+        self.lost = sorted(name for name, master in self._masters.items() if master not in self.joints)
+        """Joints that mimic one that does not exist."""
         self._masses = dict.fromkeys(self.joints, 0.0)
         for stated in self.stated:
             for name in self.chain(stated.name):

@@ -68,6 +68,8 @@ class JointStateAdapter:
         self._held = {joint.name for joint in held}
         self._harmless = {joint.name for joint in held if joint.is_harmless}
         self._ignored = settings.ignored_joints
+        self.matched = set[str]()
+        """Patterns of `ignored_joints` that have fitted a joint."""
         self._series = {_numbered(joint) for joint in joints if _numbered(joint) != joint}
         self._map, self._joint_names = settings.joint_renames, settings.joint_names
         self._layouts: dict[tuple[str, ...], Layout] = {}
@@ -194,10 +196,13 @@ class JointStateAdapter:
         """Return the places of joints outside the model that neither `ignored_joints` nor the robot file excuse."""
         known = self._harmless.union(self._joints)
         pairs = [(index, *pair) for index, pair in enumerate(zip(reported, names, strict=True)) if pair[1] not in known]
-        globs = self._ignored
-        return tuple(
-            index for index, *pair in pairs if not any(fnmatchcase(name, glob) for glob in globs for name in pair)
-        )
+        others = list[int]()
+        for index, *pair in pairs:
+            globs = {glob for glob in self._ignored if any(fnmatchcase(name, glob) for name in pair)}
+            self.matched |= globs
+            if not globs:
+                others.append(index)
+        return tuple(others)
 
     def _continues(self, name: str) -> bool:
         """Return whether `name` continues the numbers of the robot's joints, as joint5 does after joint1 to joint4."""

@@ -305,6 +305,11 @@ class Monitor:
         """Joints of the joint states that have moved, but are neither in the model nor stated as harmless."""
         return self._others.moved
 
+    @property
+    def unmatched(self) -> tuple[str, ...]:
+        """Patterns of `ignored_joints` that fit no joint of the joint states so far."""
+        return tuple(glob for glob in self.settings.ignored_joints if glob not in self._adapter.matched)
+
     def names_of(self, reported: tuple[str, ...]) -> tuple[str, ...]:
         """Return the names that `joint_map` and `joint_names` give to the joints of a joint state."""
         return self._adapter.layout(reported).names or reported
@@ -471,6 +476,12 @@ class Monitor:
         records["reason"][:, : DETAIL + 1] = layout.reason, layout.joint, self._detail(layout.detail)
         self._read(pending, layout, position, velocity, effort)
         return pending
+
+    def watch_others(
+        self, names: tuple[str, ...], clocks: IntArray, position: FloatArray, velocity: FloatArray
+    ) -> None:
+        """Note which joints outside the model move in N joint states that are not assessed, given as to `admit`."""
+        self._watch(self._adapter.layout(names), clocks, position, velocity)
 
     def compute(self, pending: Pending) -> None:
         """Compute the contacts of the admitted joint states; several threads may do so at once."""

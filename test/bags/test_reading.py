@@ -452,6 +452,9 @@ class TestUnreadableInput:
     def test_missing_path_and_empty_folder_are_refused(self, tmp_path: Path) -> None:
         with pytest.raises(BagError, match="nope: does not exist"):
             open_bag(tmp_path / "nope")
+        os.mkfifo(tmp_path / "pipe")
+        with pytest.raises(BagError, match="pipe: cannot be read: must be a regular file"):
+            find_bags(tmp_path / "pipe")
         with pytest.raises(BagError, match="contains no bag; expected"):
             open_bag(tmp_path)
 

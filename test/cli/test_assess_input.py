@@ -245,6 +245,25 @@ def test_positions_beyond_the_limits_of_the_default_are_another_arm(
     assert "another arm" not in stated.stdout
 
 
+def test_topic_beside_the_assessed_one_is_named_with_the_joints_that_moved(
+    swing_bag: Path, cli: Cli, tmp_path: Path
+) -> None:
+    with open_bag(swing_bag) as bag, BagWriter(tmp_path / "two") as both:
+        for message in bag.messages():
+            both.write(message.topic, message.type, message.log_time_ns, message.data)
+        for topic, name, speed in (("/rail/joint_states", "rail", 0.5), ("/door/joint_states", "door", 0.0)):
+            moving = (
+                JointState(START_NS + i * 10**8, (name,), np.array([i * 0.1 * speed]), np.array([speed]))
+                for i in range(5)
+            )
+            both.write_joint_states(topic, moving)
+    result = json.loads(cli("assess", tmp_path / "two", "-o", tmp_path / "a.csv", "--json").stdout)
+    assert sorted(text for subject, text in result["input"] if subject == "other topic") == [
+        "/door/joint_states is not assessed",
+        "/rail/joint_states is not assessed, but joints outside the model moved: rail",
+    ]
+
+
 def test_joint_outside_the_model_is_named_or_ignored(changed_bag: MakeBag, cli: Cli, tmp_path: Path) -> None:
     bag = changed_bag("rail", lambda state: widened(state, ("rail", "lift"), 0.0, 0.4))
     done = cli("assess", bag, "-o", tmp_path / "a.csv")
@@ -254,5 +273,7 @@ def test_joint_outside_the_model_is_named_or_ignored(changed_bag: MakeBag, cli: 
     assert (result["ignored_joints"], result["unmodelled_joints"]) == (["ra*", "lift"], [])
     assert result["scope"].endswith("; motion does not count of ra*, lift")
     assert result["cycles_by_verdict"]["UNKNOWN"] < 100
+    stated = cli("assess", bag, "-o", tmp_path / "c.csv", "--ignored-joints", "rail,door")
+    assert "ignored joints  no joint state names door" in stated.stdout
     dataset = [json.loads(cli("assess", bag, "-o", tmp_path / "data", "--json").stdout) for _ in range(2)]
     assert [result["unmodelled_joints"] for result in dataset] == [["rail", "lift"]] * 2

@@ -140,6 +140,7 @@ REFUSALS: dict[str, tuple[list[str], str]] = {
     "robot as parameters": (["assess", TOUR, "-o", "a.csv", "--params", ROBOT], ": must hold monitor (or /**)"),
     "mass of NaN": (["limits", "--mass", "nan"], "argument --mass: nan: must be a number >= 1e-06 kg"),
     "ROS arguments of a command without a node": (["limits", "--ros-args", "-p", "a:=1"], "--ros-args"),
+    "robot is a folder": (["doctor", "--robot", "/"], "/: cannot be read: must be a regular file"),
     "missing robot": (["doctor", "--robot", "no.urdf"], "no.urdf: no such file; must be a URDF or DH YAML file"),
     "missing parameters": (["assess", TOUR, "-o", "a.csv", "--params", "no.yaml"], "no.yaml: cannot be read"),
     "missing parameters of a node": (["monitor", "--params", "no.yaml"], "no.yaml: cannot be read"),

@@ -110,6 +110,50 @@ def test_position_of_a_held_joint_counts_that_shapes_the_arm() -> None:
     assert positions == {"rise": nan, "lean": 0.1, "j2": 0.0, "other": 0.0, "left_wheel": nan, "right_wheel": nan}
 
 
+def test_mimic_of_a_joint_that_does_not_exist_is_noted() -> None:
+    wheels = "".join(WHEELS).replace("<axis", '<mimic joint="motor"/><axis', 1)
+    robot = robot_of(link("chassis", 60), wheels, *ARM, contact_points=("tool",))
+    assert "mimic a joint that does not exist: left_wheel" in robot.notes
+
+
+def with_masses(*masses: float) -> Robot:
+    scaled = (link(f"l{i}", mass).replace('"0.2"', f'"{0.02 * mass}"') for i, mass in enumerate(masses, 1))
+    return robot_of(link("chassis", 60), *scaled, link("tool", 0), *ARM[4:], contact_points=("tool",))
+
+
+@pytest.mark.parametrize(("masses", "light"), [((4, 3, 2), ""), ((4, 0.02, 2), "j2"), ((4, 3, 1e-6), "j3")])
+def test_link_of_an_arm_without_its_mass_gives_no_masses(masses: tuple[float, ...], light: str) -> None:
+    reason = with_masses(*masses).masses_reason
+    assert reason.startswith(
+        f"{min(masses):.3g} kg in the 0.3 m long link behind {light}, less than" if light else reason
+    )
+    assert bool(reason) == bool(light)
+
+
+@pytest.mark.parametrize(("place", "equal"), [("0 0 0.3", False), ("0 0 0.1", True)])
+def test_equal_inertias_of_three_unequal_links_are_placeholders(place: str, equal: bool) -> None:  # noqa: FBT001
+    links = (link(f"l{i}", 3) for i in (1, 2, 3))
+    joints = *ARM[4:6], joint("j3", "l2", "l3", axis="0 1 0", place=place), ARM[7]
+    robot = robot_of(link("chassis", 60), *links, link("tool", 0), *joints, contact_points=("tool",))
+    text = "equal masses and inertias of unequal links, behind j1, j2, j3: placeholders, not data" if equal else ""
+    assert (robot.masses_reason, robot.coms_reason, robot.inertias_reason) == ("", text, text)
+
+
+def test_inertia_of_a_link_that_does_not_move_may_be_impossible() -> None:
+    base = link("chassis", 60).replace('ixx="0.2"', 'ixx="-0.2"')
+    assert robot_of(base, *ARM, contact_points=("tool",)).masses_reason == ""
+
+
+@pytest.mark.parametrize(("globs", "names"), [(("j9",), "j9"), (("*gripper*", "*finger*", "J1"), "")])
+def test_locked_joints_that_match_none_are_refused(globs: tuple[str, ...], names: str) -> None:
+    parts = (link("chassis", 60), *ARM)
+    if not names:
+        assert robot_of(*parts, contact_points=("tool",), locked_joints=globs).joint_names == ("j2", "j3")
+        return
+    with pytest.raises(RobotError, match=f"r.urdf: locked_joints = '{names}': must match a joint: j1, j2, j3"):
+        robot_of(*parts, contact_points=("tool",), locked_joints=globs)
+
+
 BARE = [link(f"l{i}", 0) for i in range(4)]
 BARE += [joint(f"a{i}", f"l{i}", f"l{i + 1}", axis="0 1 0", place="0 0 0.3") for i in range(3)]
 BARE += [link("flange", 0), joint("end", "l3", "flange", "fixed", place="0.3 0 0")]

@@ -53,6 +53,8 @@ def test_limits_by_option_replace_those_of_the_file(omron_rows: dict[str, Any], 
     robot = load_robot(path, MonitorSettings(joint_limits=("joint1=-1 2", "joint2=-0.5 0.5")))
     assert robot.model.lowerPositionLimit.tolist()[:2] == [-1.0, -0.5]
     assert robot.model.upperPositionLimit.tolist()[:2] == [2.0, 0.5]
+    with pytest.raises(RobotError, match="joint_limits = 'joint2=-90 90': must be in radians, not in degrees"):
+        load_robot(OMRON, MonitorSettings(joint_limits=("joint2=-90 90",)))
     with pytest.raises(RobotError, match="joint_limits = 'joint5': must be joint"):
         load_robot(OMRON, MonitorSettings(joint_limits=("joint5=-1 2",)))
 

@@ -56,6 +56,42 @@ def test_every_link_with_geometry_is_a_contact(arm: Path) -> None:
     assert "links that contact_links leaves out: camera" in left_out.notes
 
 
+@pytest.mark.parametrize(
+    ("size", "points", "unwatched"),
+    [
+        ("0.3 0.1 0.1", (), ()),
+        ("", (), ("upper_arm",)),
+        ("3e-4 1e-4 1e-4", (), ("the link behind joint1",)),
+        ("3e-4 1e-4 1e-4", ("flange", "whole_arm"), ("the link behind joint1",)),
+        ("", ("flange", "upper_arm", "whole_arm"), ()),
+    ],
+    ids=["whole", "without", "in mm", "stated", "named"],
+)
+def test_contact_points_are_stated_only_if_each_link_with_mass_or_length_is_watched(
+    arm: Path, size: str, points: tuple[str, ...], unwatched: tuple[str, ...]
+) -> None:
+    box = BOX.format(kind="collision", at="0.15 0 0", size="0.3 0.1 0.1")
+    text = arm.read_text(encoding="utf-8")
+    arm.write_text(text.replace(box, BOX.format(kind="collision", at="0.15 0 0", size=size) if size else ""))
+    values = {"contact_points": points} if points else {}
+    settings = MonitorSettings.model_validate(values)
+    robot = load_robot(arm, settings)
+    assert robot.unwatched == unwatched
+    assert any(f"not watched for lack of geometry: {', '.join(unwatched)}: add" in n for n in robot.notes) == any(
+        unwatched
+    )
+    assert (Assumption.CONTACT_POINTS in assumptions_of(robot, settings).assumed) == any(unwatched)
+    chosen = settings.model_copy(update={"contact_links": ("forearm", "camera")})
+    assert load_robot(arm, chosen).unwatched == ()
+
+
+def test_geometry_in_millimetres_is_refused(arm: Path) -> None:
+    arm.write_text(arm.read_text(encoding="utf-8").replace('size="0.5 0.1 0.1"', 'size="500 100 100"'))
+    assert (
+        load_robot(arm).units_reason == "the geometry of forearm is 500 m long: must be in metres, not in millimetres"
+    )
+
+
 def test_contact_links_choose_among_the_boxes_of_a_dh_file() -> None:
     robot = load_robot(settings=MonitorSettings(contact_links=("link[24]",)))
     assert {*robot.hulls} == {"link2", "link4"}
