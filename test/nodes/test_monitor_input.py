@@ -151,7 +151,7 @@ def test_joints_are_matched_by_name_in_any_order(harness: NodeHarness) -> None:
         joint_state(
             stamp + 1,
             ("gripper", "joint4", "joint2", "rail", "joint1", "joint3"),
-            (NAN, Q[3], Q[1], 9e9, Q[0], Q[2]),
+            (0.5, Q[3], Q[1], 9e9, Q[0], Q[2]),
             (0.0, QD[3], QD[1], NAN, QD[0], QD[2]),
         )
     )
