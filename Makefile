@@ -17,7 +17,8 @@ N ?= 60
 SEED ?= 1
 # Seconds of `make soak`.
 DURATION ?= 3600
-PYTEST := $(BIN)/pytest --numprocesses $(WORKERS) --dist worksteal
+# The test processes have the cores: threads of OpenBLAS in each only disturb.
+PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --numprocesses $(WORKERS) --dist worksteal
 
 # Keep DDS traffic on this machine, and keep a sourced ROS or another environment out.
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST

@@ -90,7 +90,7 @@ def test_a_tool_that_the_file_does_not_have_is_found() -> None:
 def test_friction_that_pushes_does_not_fit() -> None:
     """The last wrist carries little: a wrong sign of its effort passes for a light link and negative friction."""
     robot = robot_of(UR10)
-    states = simulated(robot, UR10, 0.0, 30.0, np.random.default_rng(3))
+    states = simulated(robot, UR10, 0.0, 15.0, np.random.default_rng(3))
     found = estimated(robot, states._replace(effort=states.effort * [1.0, 1.0, 1.0, 1.0, 1.0, -1.0]))
     assert found.unfit == "the friction of wrist_3_joint pushes, as if its effort had the wrong sign"
 

@@ -67,14 +67,14 @@ def test_monitor_logs_verdicts_remedies_and_its_input(new_harness: Callable[...,
     harness = new_harness()
     rosout = Rosout(harness)
     words = ["-p", "release_time:=0.0", "-p", "timeout:=1.0", "-p", "contact_points:=[tool]"]
-    words += ["-p", "status_period:=0.5"]
+    others = ("joint_a", "joint_b", "joint_c", "joint_d")
+    words += ["-p", "status_period:=0.5", "-p", f"ignored_joints:=[{', '.join(others)}]"]  # silent later
     elsewhere = harness.node.create_publisher(JointState, "/arm/joint_states", 10)
     process = harness.start("monitor", "--", *words, command=COMMAND)
     rosout.line(Log.ERROR, "contact tool: UNKNOWN: no joint state yet; remedy: check the driver")
     rosout.line(Log.WARN, "no publisher of /joint_states; /arm/joint_states has one: remap with -r")
     harness.node.destroy_publisher(elsewhere)
     sender = harness.node.create_publisher(JointState, "joint_states", 10)
-    others = ("joint_a", "joint_b", "joint_c", "joint_d")
     rosout.line(
         Log.ERROR,
         "UNKNOWN: no joint state yet (",
