@@ -117,7 +117,7 @@ def recorded_contacts(path: Path, settings: ImportSettings, detection: Detection
     start_ns: int | None = None
     sources: set[str] = set()
     simulated = False
-    end: int | None = None
+    before: ForceBlock | None = None
     for value in _values(file_measurements(path, settings, losses)):
         start_ns = value.stamp_ns if start_ns is None else min(start_ns, value.stamp_ns)
         sources.add(value.source)
@@ -125,8 +125,8 @@ def recorded_contacts(path: Path, settings: ImportSettings, detection: Detection
         if isinstance(value, Impact):
             contacts.append(value)
             continue
-        lost += lost_before(value, end)
-        end = value.first_sample + len(value.force)
+        lost += lost_before(value, before)
+        before = value
         samples += int(np.isfinite(value.force).sum())
         contacts += detector.feed(value)
     contacts += detector.finish()

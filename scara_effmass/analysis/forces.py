@@ -96,10 +96,10 @@ def read_force(bag: Bag) -> RecordedForce | None:
         return None
     stamps: list[NDArray[np.int64]] = []
     forces: list[FloatArray] = []
-    end, lost = None, 0
-    for block in blocks:
-        missing = lost_before(block, end)
-        end, lost = block.first_sample + len(block.force), lost + missing
+    lost = 0
+    for before, block in zip((None, *blocks), blocks, strict=False):
+        missing = lost_before(block, before)
+        lost += missing
         if missing:
             stamps.append(np.array([block.stamp_ns], np.int64))
             forces.append(np.array([NAN]))
@@ -116,12 +116,14 @@ def read_force(bag: Bag) -> RecordedForce | None:
     )
 
 
-def lost_before(block: ForceBlock, end: int | None) -> int:
-    """Return the number of samples lost between sample number `end`, with which the block before ends, and `block`.
+def lost_before(block: ForceBlock, before: ForceBlock | None) -> int:
+    """Return the number of samples lost between the block `before` and `block`.
 
-    None: there is no block before, and the first one may count samples that were lost before the recording began.
+    None: there is none, and the first block may count samples that were lost before the recording began.
     """
-    return 0 if end is None else max(block.lost_samples, block.first_sample - end)
+    return (
+        0 if before is None else max(block.lost_samples, block.first_sample - before.first_sample - len(before.force))
+    )
 
 
 def detected_impacts(blocks: Iterable[ForceBlock]) -> tuple[Impact, ...]:
@@ -297,15 +299,15 @@ def file_traces(
     ends = np.minimum((np.array(following) - onsets) / NS, after_s)
     parts: list[list[tuple[FloatArray, FloatArray]]] = [[] for _ in onsets]
     complete = np.full(len(onsets), fill_value=True)
-    end: int | None = None
+    before: ForceBlock | None = None
     for _, block in file_measurements(path, settings, losses):
         if not isinstance(block, ForceBlock):
             continue
         is_finite = np.isfinite(block.force)
         is_doubtful = ~is_finite
         is_doubtful[block.saturated_samples] = True
-        is_doubtful[:1] |= lost_before(block, end) > 0
-        end = block.first_sample + len(block.force)
+        is_doubtful[:1] |= lost_before(block, before) > 0
+        before = block
         first = (block.stamp_ns + round(offset_s * NS) - onsets) / NS
         last = first + len(block.force) / block.sample_rate
         for index in np.flatnonzero((first < ends) & (last > -BEFORE_S)):

@@ -203,7 +203,8 @@ def identify(path: Path, settings: MonitorSettings, topic: str | None = None) ->
     SettingsError where velocities are not to count as reported.
     """
     if settings.filters_velocity:
-        raise SettingsError("velocity: must be the reported one for identification: velocity_source, velocity_window")
+        stated = f"velocity_source = {settings.velocity_source.value}, velocity_window = {settings.velocity_window:g}"
+        raise SettingsError(f"{stated}: must be reported and 0 for identification")
     robot = load_robot(settings.robot_path, settings)
     dynamics = RobotDynamics(robot)
     is_lumped = dynamics.full_reason or settings.effective_mass_model is MassModel.LUMPED
@@ -263,6 +264,8 @@ class _Motion:
             for block in bag.joint_state_blocks(joint_state_topic(bag, topic)):
                 layout, size = adapter.layout(block.names), len(block)
                 self.total += size
+                if not size:
+                    continue
                 if layout.is_foreign or layout.reason is not Reason.NONE:
                     named = f"they name {', '.join(block.names)}, not {', '.join(robot.joint_names)}: see joint_map"
                     self._problems[named] += size

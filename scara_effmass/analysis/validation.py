@@ -225,7 +225,7 @@ def _feed(
     _set_runs(validator, settings, infos)
     detector = Detector(settings.detection)
     share, force_ns, monitor = 1.0 / count, 0, Monitor(dynamics, settings.monitor)
-    end: int | None = None
+    before: ForceBlock | None = None
     records: tuple[Iterator[AssessedState | Measurement], ...] = (
         measured,
         assessed_rows(bag, states, monitor, settings.time),
@@ -240,8 +240,8 @@ def _feed(
         force_ns = item.log_time_ns
         recording.count(value)
         if isinstance(value, ForceBlock):
-            recording.lost_samples += lost_before(value, end)
-            end = value.first_sample + len(value.force)
+            recording.lost_samples += lost_before(value, before)
+            before = value
             validator.add_force(value, force_ns)
         for impact in _impacts(detector, value):
             validator.add_impact(impact, force_ns)

@@ -20,7 +20,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from scara_effmass.bags.definitions import known_types, published_types
 from scara_effmass.bags.recorder import BagRecorder, MessageSink, RecorderOptions, RecordingReport
-from scara_effmass.bags.writer import check_output, qos_yaml
+from scara_effmass.bags.writer import qos_yaml
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.client import ClientNode, spin_for
@@ -83,7 +83,6 @@ def record(
     another thread. A process that stands still for `hang_timeout_s` is killed, after a line on stderr: at that time
     neither threads nor signals can complete the bag. Raises SettingsError or OutputError.
     """
-    check_output(folder, overwrite=overwrite)  # before anything starts
     known_types()  # slow on the first call: before messages arrive
     rest = f"what it has saved is complete after: record --repair {folder}"
     line = f"{folder}: the recorder has stood still for {hang_timeout_s:g} s and is killed; {rest}"

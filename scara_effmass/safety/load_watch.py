@@ -24,7 +24,6 @@ WITHDRAWN = 2.5
 """Standard deviations within which the moment must be for a doubt to end."""
 MIN_SHARE = 0.01
 """Smallest share of the mass of the arm, and of an effective mass, that counts: no model of friction is better."""
-_SEVERITY = (Reason.NONE, Reason.HEAVIER_LOAD, Reason.UNSTATED_LOAD)
 
 
 class Doubt(NamedTuple):
@@ -144,7 +143,7 @@ class LoadWatch:
         if gain <= 1.0 + MIN_SHARE and not self._is_heavier(estimate):  # the robot is lighter
             return Doubt() if estimate.is_observable else before
         reason = Reason.UNSTATED_LOAD if gain > self._margin else Reason.HEAVIER_LOAD
-        if is_true and _SEVERITY.index(reason) <= _SEVERITY.index(before.reason):
+        if is_true and reason is before.reason:
             return before
         self._doubted_mass = estimate.mass
         text = f"the torques show a load of {_interval(estimate)}, not the stated {estimate.stated:.2f} kg"

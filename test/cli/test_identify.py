@@ -148,6 +148,8 @@ def test_effort_in_another_unit_does_not_fit(cli: Cli, tmp_path: Path) -> None:
 
 
 def test_recordings_without_torques_or_motion_are_refused(refused: Refused, bag: Path, tmp_path: Path) -> None:
+    filtered = refused("identify", bag, "--robot", ROBOT, "--velocity", "from-positions")
+    assert "velocity_source = from_positions, velocity_window = 0: must be reported and 0" in filtered
     robot = robot_of(UR10)
     stamps, q, qd, effort = (values[:100] for values in simulated(robot, UR10, 0.0, 2.0, np.random.default_rng(7)))
     names, nothing = robot.joint_names, np.empty((100, 0))
