@@ -9,7 +9,7 @@ B = T^T J T, with T the velocities of the motors per joint velocity.
 import math
 import reprlib
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from functools import cached_property
@@ -260,6 +260,12 @@ def numbers_of(
     if max(map(abs, values)) > largest:
         raise RobotError(f"{name}: must be at most {largest:g}")
     return values
+
+
+def link_length(model: pin.Model, joint: int, ends: Iterable[pin.SE3]) -> float:
+    """Return the distance [m] from a joint to the farthest of the next joints and of `ends` in its frame."""
+    placements = [model.jointPlacements[child] for child in range(1, model.njoints) if model.parents[child] == joint]
+    return max((float(np.linalg.norm(end.translation)) for end in (*placements, *ends)), default=0.0)
 
 
 def angles_of(origin: ET.Element, where: str) -> tuple[float, ...]:

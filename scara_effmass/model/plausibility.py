@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from scara_effmass.model.description import MAX_VIRTUAL_M, StatedLink, principal_moments
+from scara_effmass.model.description import MAX_VIRTUAL_M, StatedLink, link_length, principal_moments
 from scara_effmass.model.robot import Robot
 from scara_effmass.values import FloatArray
 
@@ -166,10 +166,8 @@ def _links(robot: Robot) -> Iterator[tuple[str, float, pin.Inertia]]:
     """Yield joint, length [m] to the farthest next joint or to the tip, and inertia of each body."""
     model = robot.model
     for joint in range(1, model.njoints):
-        ends = [model.jointPlacements[child] for child in range(1, model.njoints) if model.parents[child] == joint]
-        ends += [robot.tip] if joint == model.njoints - 1 else []
-        length = max((float(np.linalg.norm(end.translation)) for end in ends), default=0.0)
-        yield model.names[joint], length, model.inertias[joint]
+        ends = [robot.tip] if joint == model.njoints - 1 else []
+        yield model.names[joint], link_length(model, joint, ends), model.inertias[joint]
 
 
 def _wrong(robot: Robot, reach: float) -> Iterator[str]:

@@ -31,6 +31,7 @@ from scara_effmass.model.description import (
     angles_of,
     contact_point,
     inertia_tensor,
+    link_length,
     numbers_of,
     principal_moments,
     rotor_inertia,
@@ -217,9 +218,8 @@ def _unwatched(
             seen.add(joint)
             yield name
     for joint in (joint for joint in range(1, model.njoints) if joint not in seen):
-        ends = [model.jointPlacements[child] for child in range(1, model.njoints) if model.parents[child] == joint]
-        ends += [frame.placement for frame in frames.values() if frame.parentJoint == joint]
-        length = max((float(np.linalg.norm(end.translation)) for end in ends), default=0.0)
+        ends = (frame.placement for frame in frames.values() if frame.parentJoint == joint)
+        length = link_length(model, joint, ends)
         hulls = [hull.vertices for hull in found if hull.joint == joint]
         extent = float(np.ptp(np.concatenate(hulls), axis=0).max()) if hulls else 0.0
         if length > MAX_VIRTUAL_M and extent < MIN_EXTENT * length:
