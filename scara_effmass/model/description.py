@@ -39,6 +39,8 @@ _MAX_NUMBER = 1e6
 """Largest magnitude of a length, mass or inertia [SI]; beyond it the dynamics overflow."""
 _MAX_ROTOR_INERTIA = 1e6
 """Largest rotor inertia that is not a typing error."""
+_ROUNDING = 1e-12
+"""Moment [kg m2] of a millimetre of steel: a smaller one is rounding of a file without inertia tensors."""
 
 
 class StatedLink(NamedTuple):
@@ -168,7 +170,7 @@ def inertia_tensor(entries: Sequence[float]) -> FloatArray:
 def principal_moments(inertia: FloatArray) -> tuple[float, float, float]:
     """Return the principal moments of an inertia tensor (3, 3), ascending. Raises ValueError if one is negative."""
     low, middle, high = np.linalg.eigvalsh(inertia).tolist()
-    if low < -1e-9 * high or high < 0.0:
+    if low < -max(1e-9 * high, _ROUNDING):
         raise ValueError(f"principal moments ({low:.6g}, {middle:.6g}, {high:.6g}) kg m2: must not be negative")
     return low, middle, high
 
