@@ -32,9 +32,11 @@ RUN_S = 10.0
 SETTLE_S = 0.5
 ROUNDS = 5
 DISCOVERY_S = 20.0
+MONITOR = str(Path(sys.executable).with_name("monitor_node"))
 TARGETS = {
     # One contact point: one answer to each joint state, as of the bare node.
-    "monitor": [str(Path(sys.executable).with_name("monitor_node")), "--ros-args", "-p", "contact_points:=['tool']"],
+    "monitor": [MONITOR, "--ros-args", "-p", "contact_points:=['tool']"],
+    "monitor, 2 contact points and 4 links": [MONITOR],
     "bare": [sys.executable, str(Path(__file__).with_name("echo_node.py"))],
     "bare, verdict QoS": [sys.executable, str(Path(__file__).with_name("echo_node.py")), "verdict_qos"],
 }

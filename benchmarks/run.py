@@ -54,6 +54,9 @@ def main() -> None:
     row("workspace map, SCARA, a pose", *_around("closed form, masses alone", workspace_map.measure()), "ns", "")
     runs = live.measure()
     monitor, bare = runs["monitor"], runs["bare"]
+    whole_arm = "monitor, 2 contact points and 4 links"
+    a, b = (float(np.median([100.0 * run.cpu for run in side])) for side in (runs[whole_arm], monitor))
+    row("CPU at 1 kHz, 2 contact points and 4 links", a, "1 contact point", b, "%", "<= 2")
     for node in ("bare", "bare, verdict QoS"):
         sides = monitor, runs[node]
         for label, q in (("p50", 50), ("p99", 99), ("p99.9", 99.9)):
