@@ -256,7 +256,7 @@ def test_each_contact_has_the_limits_of_its_area(robot: Path, values: dict[str, 
     sizes = (1e-5, 1e-3, 5e-5)
     chosen = settings_of(**values, contact_areas=[f"{names[0]}={sizes[0]}", f"{names[1]}={sizes[1]}", f"*={sizes[2]}"])
     singular = math.inf if chosen.contact == "quasi_static" else SINGULAR
-    motions = motions_of(dynamics, 5)[::2]
+    motions = motions_of(dynamics, 5)[::6]
     contacts = compare(dynamics, chosen, motions, LINKS, singular=singular)
     for number, area in enumerate((*sizes[:2], *[sizes[2]] * (len(names) - 2))):
         alone = computed(ContactKernel(dynamics, settings_of(**values, contact_area_m2=area)), dynamics, motions)
@@ -349,7 +349,7 @@ def test_kernel_equals_the_reference_for_very_light_servo_arms(tmp_path: Path, s
     for model in ("lumped", "full", "largest"):
         chosen = settings_of(drives="servo", contact_normal=normal, effective_mass_model=model)
         dynamics = RobotDynamics(load_robot(path, chosen))
-        compare(dynamics, chosen, motions_of(dynamics, 11))
+        compare(dynamics, chosen, motions_of(dynamics, 11)[::2])
 
 
 @pytest.mark.parametrize(("ratio", "reason"), [(0.9, Reason.TOO_LIGHT), (1.1, Reason.NONE)])

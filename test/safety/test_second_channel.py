@@ -82,7 +82,7 @@ def assert_equal(decision: Decision, expected: Decision) -> None:
 def test_monitor_with_kernel_decides_as_one_with_the_reference(robot: Path | None, values: dict[str, Any]) -> None:
     with_kernel, without = (new_monitor(robot, use_reference=reference, **values) for reference in (False, True))
     verdicts = set()
-    for state in motion(with_kernel, 450, steps=90):
+    for state in motion(with_kernel, 300, steps=60):
         decision, expected = (monitor.assess(state, state.stamp_ns) for monitor in (with_kernel, without))
         assert decision is not None
         assert expected is not None
@@ -100,7 +100,7 @@ def test_monitor_without_numba_says_so_unless_told_to_use_the_reference(monkeypa
     monkeypatch.setattr(jit, "WHY_NOT", "numba cannot be imported: no module")
     with pytest.raises(KernelError, match=r"numba cannot be imported: no module: .* set use_reference"):
         new_monitor()
-    monitor = new_monitor(use_reference=True)
+    monitor = new_monitor(use_reference=True, contact_points=POINTS)
     monitor.compile()
     assert monitor.core == "reference: use_reference"
 
@@ -200,7 +200,8 @@ def test_wrong_record_of_the_kernel_gives_unknown_and_is_the_last(
     """A kernel that goes wrong, at once or later, is found out within CHECK_INTERVAL joint states."""
     monkeypatch.setattr(monitor_module, "CHECK_INTERVAL", INTERVAL)
     # With a servo the two are compared less closely.
-    monitor, reference = new_monitor(drives="free"), new_monitor(use_reference=True, drives="free")
+    values: dict[str, Any] = {"drives": "free", "contact_points": POINTS}
+    monitor, reference = new_monitor(**values), new_monitor(use_reference=True, **values)
     runs = spoil(monkeypatch, field, change, correct)
     faults: list[int] = []
     for count, state in enumerate(motion(monitor, 2 * INTERVAL)):
