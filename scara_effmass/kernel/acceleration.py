@@ -98,7 +98,8 @@ def gain(m: Mobility, rate: float, across: float, root: float, mu: float, time: 
     if m.is_scalar:
         return time * (max(0.0, m.speed_rate) + m.error)
     lasting = lasting_time(time, m.speed, rate)
-    faster = math.hypot(m.speed + lasting * rate, lasting * across) - m.speed
+    along_n, across_n = m.speed + lasting * rate, lasting * across
+    faster = math.sqrt(along_n * along_n + across_n * across_n) - m.speed  # hypot is a call of the C library
     added: float = max(0.0, faster) + time * root / math.sqrt(mu)
     return added
 

@@ -293,7 +293,7 @@ def governing_case(
     factor, governing, slowest = setup.mass_factor, 0, NO_BOUND
     fill_bounds(mobilities, setup, work)
     for n in range(len(cases)):
-        i = (start + n) % len(cases)
+        i = start + n if start + n < len(cases) else start + n - len(cases)
         case, bound = cases[i], NO_BOUND
         rate = holding_rate(case, drives)
         for k in range(len(mobilities)):
@@ -398,7 +398,7 @@ def governing_person_case(
     """Return the case that allows the robot the least speed with a moving person, and its bound."""
     governing, slowest = 0, NO_BOUND
     for n in range(len(cases)):
-        i = (start + n) % len(cases)
+        i = start + n if start + n < len(cases) else start + n - len(cases)
         case, bound = cases[i], NO_BOUND
         rate = holding_rate(case, drives)
         for k in range(len(mobilities)):
