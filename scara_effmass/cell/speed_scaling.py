@@ -63,8 +63,10 @@ class SpeedScaler:
         """
         self._taken_ns = now_ns
         refusal = _refusal(decision)
-        if not refusal and age_ns > self.timeout_ns:
-            refusal = f"the joint state is {age_ns / 1e9:.3f} s old"
+        if not refusal and abs(age_ns) > self.timeout_ns:
+            # The clocks of monitor and node differ, or use_sim_time has no /clock.
+            in_future = f"stamped {-age_ns / 1e9:.3f} s after the time of this node's clock"
+            refusal = f"the joint state is {in_future if age_ns < 0 else f'{age_ns / 1e9:.3f} s old'}"
         # A contact point at rest says nothing about the programmed speed.
         moving = [one for one in decision.contacts if one.speed > 0.0 and not one.worst_direction_used]
         self._judge_controller(max((one.speed for one in moving), default=0.0), now_ns, age_ns)
@@ -119,4 +121,6 @@ def _refusal(decision: Decision) -> str:
         if not (is_known and 0.0 < contact.allowable_speed < math.inf):
             reason = contact.reason or "no speed is allowed"
             return f"{contact.contact_point}: {reason}".removeprefix(": ")
+    if not (decision.allowable_speed > 0.0 and decision.speed_scaling > 0.0):
+        return "no speed is allowed"
     return ""

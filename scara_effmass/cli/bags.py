@@ -147,7 +147,7 @@ def _replay(args: argparse.Namespace) -> int:
     )
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.1f} of {task.total:.1f} s"))
     with progress_bar(*columns) as progress:
-        task = progress.add_task("replay", total=None)
+        task = progress.add_task("replay", total=0.0)
 
         def on_progress(pass_number: int, time_s: float, span_s: float) -> None:
             name = f"pass {pass_number}" if args.loop else args.bag.name

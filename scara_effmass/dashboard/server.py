@@ -42,6 +42,14 @@ IDLE_S = 10.0
 MAX_CONNECTIONS = 100
 
 
+def _is_valid(address: str, form: re.Pattern[str]) -> bool:
+    try:
+        urlsplit(f"//{address.rpartition('//')[2]}").port  # noqa: B018 - raises ValueError above 65535
+    except ValueError:
+        return False
+    return form.fullmatch(address) is not None
+
+
 class Guard:
     """ASGI application that passes on requests and websockets of this page; with a token, only those that have it."""
 
@@ -76,7 +84,7 @@ class Guard:
     def _malformed(self, request: HTTPConnection) -> Response | None:
         for name, form, least in (("host", _HOST, 1), ("origin", _ORIGIN, 0)):
             values = request.headers.getlist(name)
-            if not least <= len(values) <= 1 or not all(form.fullmatch(value) for value in values):
+            if not least <= len(values) <= 1 or not all(_is_valid(value, form) for value in values):
                 return PlainTextResponse(f"the header {name} must be stated once and valid", 400)
         return None
 

@@ -42,7 +42,7 @@ TEXTS = {
     Reason.SECOND_PUBLISHER: (
         "a second publisher, or a restarted one: joint state number {v[0]:.0f} follows number {v[1]:.0f}"
     ),
-    Reason.ZERO_STAMP: "the header stamp is zero",
+    Reason.ZERO_STAMP: "the header stamp is zero or negative",
     Reason.FUTURE_STAMP: "the header stamp is {v[0]:.3f} s in the future",
     Reason.COARSE_CLOCK: (
         "the header stamp is {v[0]:.3f} s in the future: /clock moves in steps of {v[1]:.3f} s, above half of timeout"
@@ -61,11 +61,11 @@ TEXTS = {
     Reason.OLD_COMMAND: "no joint command for {v[0]:.3f} s",
     Reason.COMMAND_MISMATCH: "{joint} is {v[0]:+.4f} {unit} off its command",
     Reason.PAYLOAD_UNKNOWN: "{detail}",
-    Reason.GAP: "no joint state for {v[0]:.3f} s",
-    Reason.SILENCE: "no joint state for {v[0]:.2f} s",
+    Reason.GAP: "no valid joint state for {v[0]:.3f} s",
+    Reason.SILENCE: "no valid joint state for {v[0]:.2f} s",
     Reason.NO_JOINT_STATE: "no joint state yet",
     Reason.ONLY_OTHER_JOINTS: f"no joint state yet {OTHER_JOINTS}",
-    Reason.OTHER_JOINTS_SINCE: f"no joint state for {{v[0]:.2f}} s {OTHER_JOINTS}",
+    Reason.OTHER_JOINTS_SINCE: f"no valid joint state for {{v[0]:.2f}} s {OTHER_JOINTS}",
     Reason.UNMODELLED_MOTION: "joint {detail}, but is not in the model",
     Reason.HELD_ELSEWHERE: "joint {detail} is at {v[0]:.4g}, but the model holds it at {v[1]:.4g}",
     Reason.NO_MASSES: "{masses}",

@@ -13,7 +13,7 @@ from scara_effmass.codes import Assumption, Reason
 from scara_effmass.errors import DecodeError
 from scara_effmass.kernel.records import FIELDS, PLACES
 from scara_effmass.safety import Assessments, unknown_contact
-from scara_effmass.values import ContactAssessment, Decision, Verdict
+from scara_effmass.values import ContactAssessment, Decision, Verdict, severity
 from scara_effmass.wire.cdr import (
     BYTE_ORDERS,
     COUNT,
@@ -151,7 +151,8 @@ _READERS = {encapsulation: _Reader(order) for encapsulation, order in BYTE_ORDER
 def decode_contact_states(data: bytes) -> Decision:
     """Return the decision in `data` (CDR of either byte order). Raises DecodeError.
 
-    A contact with an invalid verdict or number is UNKNOWN without numbers, and so is a message without contacts.
+    A contact with an invalid verdict or number is UNKNOWN without numbers, and so is a message without contacts, and
+    every contact of a message that is less severe than the message or its `watchdog` says.
     """
     reader = _READERS.get(data[:2])
     if reader is None:
@@ -172,7 +173,7 @@ def _decode(reader: _Reader, data: bytes) -> tuple[Decision, int]:
     sec, nanosec = reader.stamp(data, STAMP_AT)
     _, at = reader.text(data, STAMP_AT + 8)
     at += (ORIGIN - at) % 8
-    number, watchdog, _, _, allowable_speed, speed_scaling, age, delay = reader.numbers(data, at)
+    number, watchdog, verdict, _, allowable_speed, speed_scaling, age, delay = reader.numbers(data, at)
     contact_normal, at = reader.text(data, at + _NUMBERS.size)
     reason, at = reader.text(data, at)
     assumptions, at = reader.assumptions(data, at)
@@ -195,6 +196,10 @@ def _decode(reader: _Reader, data: bytes) -> tuple[Decision, int]:
         contacts.append(_contact(values, texts))
     if not contacts:
         contacts.append(unknown_contact("", reason or "the monitor has no contact points"))
+    worst = max((contact.verdict for contact in contacts), key=severity)
+    if verdict not in _VERDICTS or severity(verdict) > severity(worst) or (watchdog and worst is not Verdict.UNKNOWN):
+        why = f"verdict = {verdict}{' of the watchdog' * watchdog}: must be that of the worst contact, {worst.name}"
+        contacts = [unknown_contact(contact.contact_point, why) for contact in contacts]
     is_known = all(contact.verdict is not Verdict.UNKNOWN for contact in contacts)
     if not (is_known and 0.0 <= allowable_speed < math.inf and 0.0 <= speed_scaling <= 1.0):
         allowable_speed = speed_scaling = 0.0

@@ -88,7 +88,7 @@ def test_missing_mass_model_is_not_in_the_legend() -> None:
 
 def test_single_unknown_cycle_is_drawn() -> None:
     builder = TimeSeriesBuilder()
-    builder.add(states_of(decision_on(unknown_contact("tool", "the header stamp is zero")), log_time_ns=1), 0)
+    builder.add(states_of(decision_on(unknown_contact("tool", "the joint state is old")), log_time_ns=1), 0)
     figure = report_figure("run", "", "", draw(builder.build()))
     height, width, _ = imread(BytesIO(figure.png)).shape
     assert width > 1500

@@ -133,7 +133,7 @@ def test_range_covers_every_number(numbers: list[tuple[float, float]]) -> None:
 def test_remedy_of_the_leading_reason_from_five_percent_on(unknown: int, *, share: bool) -> None:
     summary = Summary(TIMEOUT_NS)
     for number in range(100):
-        code, reason = Reason.ZERO_STAMP, "the header stamp is zero"
+        code, reason = Reason.ZERO_STAMP, "the header stamp is zero or negative"
         if number >= unknown - 1:
             code, reason = Reason.REPEATED_STAMP, "the header stamp is repeated"
         verdict = Verdict.UNKNOWN if number < unknown else Verdict.OK
@@ -146,7 +146,7 @@ def test_remedy_of_the_leading_reason_from_five_percent_on(unknown: int, *, shar
 def test_remedy_of_gaps() -> None:
     summary = Summary(TIMEOUT_NS)
     for at_ms in (0, 10, 5000):
-        cycle = contact(Verdict.UNKNOWN if at_ms == 10 else Verdict.OK, reason="the header stamp is zero")
+        cycle = contact(Verdict.UNKNOWN if at_ms == 10 else Verdict.OK, reason="the header stamp is zero or negative")
         summary.add(states_of(decision_on(cycle), log_time_ns=at_ms * MS))
     assert summary.remedy == remedy(Reason.GAP)
 

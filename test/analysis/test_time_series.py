@@ -53,7 +53,7 @@ def test_assessments_are_in_order_of_their_stamps() -> None:
 
 def test_unknown_values_are_nan() -> None:
     builder = TimeSeriesBuilder()
-    zero = decision_on(unknown_contact("tool", "the header stamp is zero"), stamp_ns=0)
+    zero = decision_on(unknown_contact("tool", "the header stamp is zero or negative"), stamp_ns=0)
     builder.add(states_of(zero, log_time_ns=1_000_000_000), 0)
     held = assessed._replace(verdict=UNKNOWN, reason="held after: stale", allowable_speed=0.0)
     builder.add(states_of(decision_on(held, stamp_ns=2_000_000_000), log_time_ns=2_001_000_000), 0)

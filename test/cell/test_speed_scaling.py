@@ -3,6 +3,7 @@
 
 import math
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -149,11 +150,26 @@ def test_one_contact_point_that_allows_nothing_stops_until_it_allows_something(
     assert scaler.reason == ""
 
 
-def test_old_state_stops() -> None:
+@pytest.mark.parametrize(
+    ("age_ns", "reason"),
+    [
+        (TIMEOUT_NS + 1_000_000, "0.201 s old"),
+        (-TIMEOUT_NS - 1_000_000, "stamped 0.201 s after the time of this node's clock"),
+    ],
+)
+def test_state_of_another_time_stops(age_ns: int, reason: str) -> None:
     scaler, now_ns = released()
-    scaler.take(state(0.1, 1.0), now_ns, TIMEOUT_NS + 1_000_000)
+    scaler.take(state(0.1, 1.0), now_ns, age_ns)
     assert scaler.factor(now_ns) == 0.0
-    assert scaler.reason == "the joint state is 0.201 s old"
+    assert scaler.reason == f"the joint state is {reason}"
+
+
+@pytest.mark.parametrize("field", ["allowable_speed", "speed_scaling"])
+def test_message_that_allows_nothing_stops(field: str) -> None:
+    scaler, now_ns = released()
+    scaler.take(state(0.1, 1.0)._replace(**{field: 0.0}), now_ns)
+    assert scaler.factor(now_ns) == 0.0
+    assert scaler.reason == "no speed is allowed"
 
 
 def test_state_counts_with_the_factor_in_force_when_it_was_measured() -> None:

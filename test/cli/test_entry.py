@@ -193,6 +193,12 @@ def test_invalid_input_gives_one_line_and_exit_code_2(name: str, refused: Refuse
     assert message in refused(*arguments)
 
 
+def test_refused_replay_shows_its_reason_on_a_terminal(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)  # shows a progress bar
+    done = cli("replay", "no.mcap")
+    assert (done.returncode, "no.mcap: does not exist" in done.stderr) == (2, True)
+
+
 @pytest.mark.parametrize(
     "command",
     [

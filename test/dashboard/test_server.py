@@ -63,6 +63,7 @@ def test_the_token_of_the_address_becomes_a_cookie() -> None:
         {"host": "[::1"},
         {"host": "localhost:port"},
         {"host": "localhost:123456"},
+        {"host": "localhost:99999"},
         {"host": "evil.example@localhost"},
         {"host": "localhost/x"},
         {"host": ""},

@@ -173,8 +173,8 @@ def test_old_joint_state_gives_unknown_even_if_it_is_newer_than_the_last(scara: 
 @pytest.mark.parametrize(
     ("stamp_ns", "reason"),
     [
-        (0, "the header stamp is zero"),
-        (-5, "the header stamp is zero"),
+        (0, "the header stamp is zero or negative"),
+        (-5, "the header stamp is zero or negative"),
         (NOW, "the header stamp is repeated"),
         (NOW - 50 * MS, "the header stamp goes back by 0.050000 s"),
         (NOW + 32 * MS, "the header stamp is 0.031 s in the future"),

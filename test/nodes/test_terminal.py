@@ -93,7 +93,7 @@ def test_monitor_logs_verdicts_remedies_and_its_input(new_harness: Callable[...,
     rosout.line(Log.INFO, "contact tool: OK", repeat=fresh)
     harness.node.destroy_publisher(sender)
     rosout.line(Log.WARN, "lost the publisher of /joint_states")
-    rosout.line(Log.ERROR, "contact tool: UNKNOWN: no joint state for ")
+    rosout.line(Log.ERROR, "contact tool: UNKNOWN: no valid joint state for ")
     sender = harness.node.create_publisher(JointState, "joint_states", 10)
     rosout.line(Log.INFO, "reconnected: /joint_states has a publisher again")
     process.terminate()

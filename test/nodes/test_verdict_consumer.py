@@ -43,7 +43,7 @@ raise SystemExit(monitor_node.main())
     ("fault", "reasons"),
     [
         ("deactivate", {"the monitor was deactivated"}),
-        ("no input", {"no joint state for"}),
+        ("no input", {"no valid joint state for"}),
         ("old stamp", {"the joint state is"}),
         ("SIGTERM", {"the node shuts down"}),
         ("SIGKILL", {"liveliness lost", "deadline missed"}),

@@ -75,7 +75,7 @@ def test_gap_between_stamps_gives_held_unknown(scara: RobotDynamics) -> None:
     monitor = make_monitor(scara, release_time=0.1)
     send(monitor, 0)
     after = send(monitor, 201)
-    assert (verdict(after), reason(after)) == (Verdict.UNKNOWN, "held after: no joint state for 0.201 s")
+    assert (verdict(after), reason(after)) == (Verdict.UNKNOWN, "held after: no valid joint state for 0.201 s")
     assert verdict(send(monitor, 301)) is Verdict.OK
 
 
@@ -199,7 +199,7 @@ class TestLatch:
         monitor.watchdog_decision(10**9)
         latched = send(monitor, 1)
         assert verdict(latched) is Verdict.UNKNOWN
-        assert reason(latched) == "latched until reset: tool: no joint state for 1.00 s"
+        assert reason(latched) == "latched until reset: tool: no valid joint state for 1.00 s"
         assert latched.contacts[0].allowable_speed == 0.0
         assert latched.contacts[0].margin == -latched.contacts[0].speed
 
@@ -228,7 +228,7 @@ class TestLatch:
 class TestWatchdogDecision:
     def test_watchdog_decision_is_unknown_and_allows_nothing(self, scara: RobotDynamics) -> None:
         monitor = make_monitor(scara)
-        for expected in ("no joint state yet", "no joint state for 0.25 s"):
+        for expected in ("no joint state yet", "no valid joint state for 0.25 s"):
             silent = monitor.watchdog_decision(250 * MS).decision(0)
             assert (verdict(silent), reason(silent), silent.input_age) == (Verdict.UNKNOWN, expected, 0.25)
             assert (silent.allowable_speed, silent.speed_scaling) == (0.0, 0.0)

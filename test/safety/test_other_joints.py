@@ -138,7 +138,7 @@ class TestInTheSameJointState:
         q, qd = arm(0.0)
         state = JointState(NOW, (*JOINTS, "rail"), np.append(q, 0.0), np.append(qd, 1.0))
         for changed, reason in (
-            (state._replace(stamp_ns=0), "the header stamp is zero"),
+            (state._replace(stamp_ns=0), "the header stamp is zero or negative"),
             (state._replace(position=state.position[:4]), "4 positions for 5 names"),
             (state._replace(position=np.append(9.0, state.position[1:])), "joint1 at 9.0000 rad lies outside"),
         ):

@@ -54,7 +54,7 @@ def test_every_code_has_a_text(scara: RobotDynamics, code: Reason) -> None:
         (Reason.NO_LUMPED_MASS, (NoLumpedMass.MASSLESS_JOINT,), "no lumped mass (joint1 moves the contact point"),
         (Reason.NO_LUMPED_MASS, (NoLumpedMass.MASSLESS_JOINT + 3,), "no lumped mass (joint4 moves the contact point"),
         (Reason.UNDECODABLE, (), "detail"),
-        (Reason.GAP, (0.2514,), "no joint state for 0.251 s"),
+        (Reason.GAP, (0.2514,), "no valid joint state for 0.251 s"),
     ],
 )
 def test_code_that_gives_unknown_has_its_text(
@@ -112,9 +112,12 @@ def test_code_of_an_assessment_has_its_text(
 
 
 def test_held_and_latched_reasons_say_so() -> None:
-    assert text(NO_TEXTS, Reason.ZERO_STAMP, held=True) == "held after: the header stamp is zero"
-    assert text(NO_TEXTS, Reason.ZERO_STAMP, latched=3) == "latched until reset: tool: the header stamp is zero"
-    assert text(NO_TEXTS, Reason.ZERO_STAMP, latched=1) == "latched until reset: the header stamp is zero"
+    assert text(NO_TEXTS, Reason.ZERO_STAMP, held=True) == "held after: the header stamp is zero or negative"
+    assert (
+        text(NO_TEXTS, Reason.ZERO_STAMP, latched=3)
+        == "latched until reset: tool: the header stamp is zero or negative"
+    )
+    assert text(NO_TEXTS, Reason.ZERO_STAMP, latched=1) == "latched until reset: the header stamp is zero or negative"
 
 
 def test_why_a_model_decides_is_listed_in_the_order_of_the_codes(
