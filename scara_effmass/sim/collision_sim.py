@@ -42,11 +42,12 @@ GRAVITY = -9.81
 _JOINT_TYPES = {"revolute": "hinge", "prismatic": "slide"}
 _TENSOR_SIZE = 6
 
-UNIT_LENGTH_TOLERANCE = 1e-6
+GUIDE: Vector3 = (1.0, 0.0, 0.0)
+"""Direction of the cart's guide, and of the path of the tool, in the robot's base frame."""
 GUIDE_VISCOUS_SPEED_MPS = 1e-3
 """Speed below which guide friction is proportional to the speed, so that it vanishes at rest."""
-BRAKE_TIME_S = 0.05
-"""Time constant of the brake."""
+TRAVEL_M, BRAKE_TIME_S = 0.15, 0.05
+"""Way of the cart to its brake, and time constant of the brake."""
 LINEAR = 1.0
 HERTZ = 1.5
 """Exponents n of the contact law."""
@@ -54,40 +55,23 @@ HERTZ = 1.5
 
 @dataclass(frozen=True, slots=True)
 class Cart:
-    """A cart on a guide, in the robot's base frame. Raises SettingsError for impossible values.
+    """A cart on a guide along GUIDE, away from the robot; at its end a brake stops the cart smoothly.
 
-    `tip` is the position of the tip at rest [m], `direction` the unit vector along the guide, away from the robot, and
-    `mass` the whole sliding mass m_H [kg]. The force cell sits between the tip and the rest of the cart: `tip_mass`
-    [kg] is in front of it. `surface` is the unit normal of the robot's plate that the tip touches; None stands for
-    `direction`. `guide_friction` is in [N]. Beyond `travel` [m] a brake stops the cart smoothly.
+    `tip` is the position of the tip at rest in the robot's base frame [m], `mass` the whole sliding mass m_H [kg].
+    `normal` is the unit normal of the robot's plate that the tip touches. `guide_friction` is in [N].
     """
 
     tip: Vector3
-    direction: Vector3
     mass: float
-    tip_mass: float = 0.0
-    surface: Vector3 | None = None
+    normal: Vector3 = GUIDE
     guide_friction: float = 0.5
-    travel: float = 0.15
-
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.tip_mass < self.mass < math.inf:
-            raise SettingsError(f"mass = {self.mass}, tip_mass = {self.tip_mass}: must be 0 <= tip_mass < mass")
-        for name, vector in (("direction", self.direction), ("surface", self.normal)):
-            if not abs(math.hypot(*vector) - 1.0) < UNIT_LENGTH_TOLERANCE:
-                raise SettingsError(f"{name} = {vector}: must be a unit vector")
-
-    @property
-    def normal(self) -> Vector3:
-        """Unit normal of the plate, away from the robot."""
-        return self.direction if self.surface is None else self.surface
 
     def resistance(self, position: float, speed: float) -> float:
         """Return the force of guide and brake on the cart [N], `position` [m] from its rest position."""
         friction = -self.guide_friction * speed / GUIDE_VISCOUS_SPEED_MPS
         if abs(speed) > GUIDE_VISCOUS_SPEED_MPS:
             friction = -math.copysign(self.guide_friction, speed)
-        braking = -self.mass / BRAKE_TIME_S * speed if position > self.travel else 0.0
+        braking = -self.mass / BRAKE_TIME_S * speed if position > TRAVEL_M else 0.0
         return friction + braking
 
 
@@ -138,7 +122,7 @@ POLYETHYLENE = SpringContact()
 class ContactSample(NamedTuple):
     """Contact at the beginning of a step: penetration `depth` [m], negative for a gap, and forces [N].
 
-    `force` acts along the normal of the plate; `measured` is the force at the cell, along the guide.
+    `force` acts along the normal of the plate; `measured` is the force on the cart, along the guide.
     """
 
     time_ns: int
@@ -187,22 +171,21 @@ class CollisionSim:
 
     def __init__(self, robot: Path, cart: Cart, contact: SpringContact) -> None:
         """Build the model, all joints at zero and at rest. Raises RobotError."""
-        mjcf, self.joints = sim_mjcf(robot, cart)
         self.cart = cart
         self.contact = contact
-        self.model = mujoco.MjModel.from_xml_string(mjcf)
+        self.model = mujoco.MjModel.from_xml_string(sim_mjcf(robot, cart))
         self.data = mujoco.MjData(self.model)
         self.time_ns = 0
         self.cart_placed = False
-        self._n = len(self.joints)
+        self._n = self.model.nv - 1
         self._site = self.model.site(TOOL).id
         self._tool = self.data.site_xpos[self._site]
         self._q, self._v = self.data.qpos, self.data.qvel
         self._applied = self.data.qfrc_applied
         self._jacobian = np.zeros((3, self.model.nv))
-        self._guide = np.array(cart.direction)
+        self._guide = np.array(GUIDE)
         self._normal = np.array(cart.normal)
-        self._plane = (*self._normal.tolist(), float(self._normal @ np.array(cart.tip)))
+        self._plane = (*cart.normal, float(self._normal @ np.array(cart.tip)))
         self._normal_on_guide = float(self._normal @ self._guide)
         mujoco.mj_forward(self.model, self.data)
 
@@ -289,11 +272,8 @@ class CollisionSim:
         depth = self._depth()
         if self.cart_placed and depth > 0.0:
             push, force = self._apply_contact(depth)
-        cart_force = push + self.cart.resistance(self.cart_position, self.cart_speed)
-        self._applied[self._n] = cart_force
-        # The force cell does not feel the force that accelerates the tip in front of it.
-        measured = push - self.cart.tip_mass * cart_force / self.cart.mass
-        sample = ContactSample(self.time_ns, depth, force, measured)
+        self._applied[self._n] = push + self.cart.resistance(self.cart_position, self.cart_speed)
+        sample = ContactSample(self.time_ns, depth, force, push)
         mujoco.mj_step2(self.model, self.data)
         self.time_ns += step_ns
         return sample
@@ -340,14 +320,11 @@ def mass_matrix(model: mujoco.MjModel, data: mujoco.MjData) -> FloatArray:
     return matrix
 
 
-def sim_mjcf(robot: Path, cart: Cart | None = None) -> tuple[str, tuple[str, ...]]:
-    """Return the MJCF of the robot and `cart`, and the names of the robot's joints.
-
-    The joint of the cart comes last. Raises RobotError.
-    """
+def sim_mjcf(robot: Path, cart: Cart | None = None) -> str:
+    """Return the MJCF of the robot and `cart`, whose joint comes last. Raises RobotError."""
     rows = read_yaml(robot, RobotError)
     try:
-        body, names = _robot_body(rows)
+        body = _robot_body(rows)
     except (KeyError, TypeError, ValueError) as error:
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         raise RobotError(f"{robot}: {reason}; must be as config/omron_i4_550l.yaml") from None
@@ -360,14 +337,14 @@ def sim_mjcf(robot: Path, cart: Cart | None = None) -> tuple[str, tuple[str, ...
     if cart is not None:
         # The guide carries its weight.
         body = ET.SubElement(world, "body", name="cart", pos=_text(*cart.tip), gravcomp="1")
-        ET.SubElement(body, "joint", name="guide", type="slide", axis=_text(*cart.direction))
+        ET.SubElement(body, "joint", name="guide", type="slide", axis=_text(*GUIDE))
         # The cart does not rotate: its moments of inertia have no effect.
         ET.SubElement(body, "inertial", pos="0 0 0", mass=_text(cart.mass), diaginertia="1e-3 1e-3 1e-3")
-    return ET.tostring(root, encoding="unicode"), names
+    return ET.tostring(root, encoding="unicode")
 
 
-def _robot_body(document: dict[str, Any]) -> tuple[ET.Element, tuple[str, ...]]:
-    """Return the base body, which contains all others, and the names of the joints.
+def _robot_body(document: dict[str, Any]) -> ET.Element:
+    """Return the base body, which contains all others.
 
     Each Denavit-Hartenberg row makes two bodies. The outer one moves with the joint and holds Tx(a) Rx(alpha) of the
     row before; the inner one, the link, holds Rz(theta) Tz(d) and the inertia.
@@ -375,11 +352,9 @@ def _robot_body(document: dict[str, Any]) -> tuple[ET.Element, tuple[str, ...]]:
     if "rotor_inertia" in document:
         raise ValueError("rotor_inertia: must be absent: the simulated cell knows only an armature per joint")
     base = parent = ET.Element("body", name="base")
-    names = []
     frame = {"pos": "0 0 0"}
     for row, link in zip(document["joints"], document["links"], strict=True):
         name = str(row["name"])
-        names.append(name)
         joint_body = ET.SubElement(parent, "body", {"name": f"{name}_body", **frame})
         armature = _text(row.get("armature", 0.0))
         ET.SubElement(joint_body, "joint", name=name, type=_JOINT_TYPES[row["type"]], axis="0 0 1", armature=armature)
@@ -391,7 +366,7 @@ def _robot_body(document: dict[str, Any]) -> tuple[ET.Element, tuple[str, ...]]:
     if payload := document.get("payload"):
         _add_inertial(end, payload)
     ET.SubElement(end, "site", name=TOOL, pos=_text(*document["contact_points"][TOOL]))
-    return base, tuple(names)
+    return base
 
 
 def _add_inertial(body: ET.Element, link: dict[str, Any]) -> None:

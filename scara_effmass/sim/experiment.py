@@ -22,12 +22,12 @@ import numpy as np
 
 from scara_effmass.errors import SettingsError
 from scara_effmass.iso15066 import reduced_mass
-from scara_effmass.settings import ServoSettings
 from scara_effmass.share import share
 from scara_effmass.sim.collision_sim import (
     CONTROL_PERIOD_NS,
     FINE_STEP_NS,
     GRAVITY,
+    GUIDE,
     POLYETHYLENE,
     Cart,
     CollisionSim,
@@ -51,10 +51,8 @@ from scara_effmass.values import FloatArray, ForceBlock, JointState, RunInfo, Ve
 CONTROL_RATE_HZ = 1e9 / CONTROL_PERIOD_NS
 VELOCITY_TIME_CONSTANT_S = 1e-3
 """Time constant of the low-pass filter for the joint velocities."""
-MAX_BANDWIDTH_HZ, STABLE_DAMPING = 60.0, (0.3, 1.0)
-"""Bandwidths and damping ratios of joint servos that are stable."""
-DEFAULT_SERVO = ServoSettings(bandwidth=5.0, damping=0.7)
-"""It has little effect during a contact of a few milliseconds."""
+BANDWIDTH_HZ, DAMPING_RATIO = 5.0, 0.7
+"""Servo of each joint; it has little effect during a contact of a few milliseconds."""
 ROBOT = ("config", "omron_i4_550l.yaml")
 PATH_M = 0.2
 ACCELERATION = 2.5
@@ -86,14 +84,14 @@ ControlPeriod = tuple[FloatArray, FloatArray, FloatArray, list[ContactSample]]
 class JointController:
     """Move the robot of a simulation along trajectories."""
 
-    def __init__(self, sim: CollisionSim, servo: ServoSettings) -> None:
+    def __init__(self, sim: CollisionSim) -> None:
         """Start from the robot's current state, which sets the inertias I of the gains. The motors carry the weight."""
         sim.model.opt.gravity[2] = GRAVITY
         inertias = sim.joint_inertias()
-        omega = 2.0 * math.pi * servo.bandwidth
+        omega = 2.0 * math.pi * BANDWIDTH_HZ
         self._sim = sim
         self._stiffness = inertias * omega**2
-        self._damping = inertias * 2.0 * servo.damping * omega
+        self._damping = inertias * 2.0 * DAMPING_RATIO * omega
         self._weight = 1.0 - math.exp(-1.0 / (CONTROL_RATE_HZ * VELOCITY_TIME_CONSTANT_S))
         self._velocity = sim.qd
 
@@ -109,22 +107,14 @@ class JointController:
 
 @dataclass(frozen=True, slots=True)
 class Configuration:
-    """Impact `point` x, y [m], elbow configuration, and `heading` of the path from the x axis [rad]."""
+    """Impact `point` x, y [m] of the right arm, on a path along x."""
 
     name: str
     point: tuple[float, float]
-    elbow_config: ElbowConfig = ElbowConfig.RIGHT
-    heading: float = 0.0
-
-    @property
-    def direction(self) -> Vector3:
-        """Unit vector along the path."""
-        return (math.cos(self.heading), math.sin(self.heading), 0.0)
 
     def path_point(self, distance: float) -> tuple[float, float]:
         """Return x, y [m] of the path `distance` [m] behind the impact point."""
-        x, y, _ = self.direction
-        return self.point[0] + distance * x, self.point[1] + distance * y
+        return self.point[0] + distance, self.point[1]
 
 
 CONFIGURATIONS = (
@@ -142,51 +132,37 @@ IMPACTS = tuple(product(CONFIGURATIONS, OBSTACLE_MASSES))
 class ImpactSetup:
     """All parameters of one run.
 
-    Raises SettingsError if the path is too short for `speed` [m/s], and for a servo that may not be stable.
-
     The tip is `offset` [m] along the path behind the impact point; the robot rests for `dwell` [s] before and after
-    the path. `surface` is the unit normal of the plate; None stands for the direction of the path. `seed` sets the
-    noise of encoders and stamps; the sensor has a seed of its own.
+    the path. `surface` is the unit normal of the plate. `seed` sets the noise of encoders and stamps; the sensor has a
+    seed of its own.
     """
 
     configuration: Configuration
     obstacle_mass: float
     speed: float = SPEED
     contact: SpringContact = POLYETHYLENE
-    servo: ServoSettings = DEFAULT_SERVO
     sensor: ForceSensor = FORCE_SENSOR
     offset: float = 0.0
     dwell: float = DWELL_S
-    surface: Vector3 | None = None
+    surface: Vector3 = GUIDE
     seed: int = 0
     start_ns: int = EPOCH_NS
-
-    def __post_init__(self) -> None:
-        max_speed = math.sqrt(PATH_M * ACCELERATION)
-        if not 0.0 < self.speed < max_speed:
-            raise SettingsError(f"speed = {self.speed}: must be > 0 and < {max_speed:.3f} m/s")
-        servo, (low, high) = self.servo, STABLE_DAMPING
-        if servo.computed_torque or not (servo.bandwidth <= MAX_BANDWIDTH_HZ and low <= servo.damping <= high):
-            limits = f"up to {MAX_BANDWIDTH_HZ:g} Hz and a damping ratio from {low:g} to {high:g}"
-            raise SettingsError(f"servo = {servo}: must be a controller per joint of {limits}")
 
     @property
     def cart(self) -> Cart:
         """The cart at rest."""
-        configuration = self.configuration
-        tip = (*configuration.path_point(self.offset), -Q3)
-        return Cart(tip, configuration.direction, self.obstacle_mass, surface=self.surface)
+        return Cart((*self.configuration.path_point(self.offset), -Q3), self.obstacle_mass, self.surface)
 
     @property
     def moves(self) -> tuple[LinearMove, LinearMove, LinearMove]:
         """Dwell, path with the impact in its middle, dwell."""
         start, end = (self.configuration.path_point(side * PATH_M / 2.0) for side in (-1.0, 1.0))
-        elbow_config, dwell = self.configuration.elbow_config, QuinticScaling(self.dwell)
+        dwell = QuinticScaling(self.dwell)
         path = TrapezoidalScaling(length=PATH_M, speed=self.speed, acceleration=ACCELERATION)
         return (
-            LinearMove(start, start, elbow_config, Q3, dwell),
-            LinearMove(start, end, elbow_config, Q3, path),
-            LinearMove(end, end, elbow_config, Q3, dwell),
+            LinearMove(start, start, ElbowConfig.RIGHT, Q3, dwell),
+            LinearMove(start, end, ElbowConfig.RIGHT, Q3, path),
+            LinearMove(end, end, ElbowConfig.RIGHT, Q3, dwell),
         )
 
     def run_info(self, note: str) -> RunInfo:
@@ -197,8 +173,8 @@ class ImpactSetup:
             configuration=self.configuration.name,
             obstacle_mass=self.obstacle_mass,
             impact_position=(*self.configuration.point, -Q3),
-            plate_normal=self.cart.normal,
-            guide_direction=self.configuration.direction,
+            plate_normal=self.surface,
+            guide_direction=GUIDE,
             simulated=True,
             note=note,
             contact_stiffness=self.contact.stiffness,
@@ -232,7 +208,7 @@ def build_sim(setup: ImpactSetup) -> tuple[CollisionSim, JointController]:
     Raises SettingsError if the contact is too short or too damped for the simulation step.
     """
     sim = CollisionSim(share(*ROBOT), setup.cart, setup.contact)
-    q = joint_positions_at(setup.configuration.point, setup.configuration.elbow_config, Q3)
+    q = joint_positions_at(setup.configuration.point, ElbowConfig.RIGHT, Q3)
     sim.set_state(np.array(q), np.zeros(len(q)))
     _, mu = _masses(sim)
     _, duration_s = setup.contact.free_impact(setup.speed, mu)
@@ -243,7 +219,7 @@ def build_sim(setup: ImpactSetup) -> tuple[CollisionSim, JointController]:
         )
     if not setup.contact.damping <= (max_damping := MAX_SPEED_LOSS * mu * 1e9 / FINE_STEP_NS):
         raise SettingsError(f"damping = {setup.contact.damping:g}: must be <= {max_damping:.0f} N s/m")
-    return sim, JointController(sim, setup.servo)
+    return sim, JointController(sim)
 
 
 def run_impact(setup: ImpactSetup) -> ImpactRun:
@@ -266,7 +242,7 @@ def run_impact(setup: ImpactSetup) -> ImpactRun:
     sim.set_state(positions[index] + velocities[index] * rest_ns / 1e9, velocities[index])
     return ImpactRun(
         setup,
-        tuple(JointState(setup.start_ns + i * CONTROL_PERIOD_NS, sim.joints, *row) for i, row in rows),
+        tuple(JointState(setup.start_ns + i * CONTROL_PERIOD_NS, JOINTS, *row) for i, row in rows),
         force_blocks,
         tuple(contact._replace(onset_ns=contact.onset_ns + setup.start_ns) for contact in contacts),
         *_masses(sim),
@@ -281,7 +257,7 @@ def _masses(sim: CollisionSim) -> tuple[float, float]:
     """
     normal = np.array(sim.cart.normal)
     effective_mass = sim.effective_mass(normal)
-    cosine = float(normal @ np.array(sim.cart.direction))
+    cosine = float(normal @ GUIDE)
     obstacle_mass = sim.cart.mass / cosine**2 if cosine else math.inf
     return effective_mass, reduced_mass(effective_mass, obstacle_mass)
 
@@ -313,8 +289,8 @@ class LiveSim:
     ) -> None:
         """Start at ROS time `start_ns`.
 
-        `impacts` are the configuration and obstacle mass [kg] of each impact, in an endless cycle; all must have the
-        same elbow configuration. `seed` sets the noise of the encoders.
+        `impacts` are the configuration and obstacle mass [kg] of each impact, in an endless cycle. `seed` sets the
+        noise of the encoders.
         """
         self.start_ns = start_ns
         self._impacts = impacts

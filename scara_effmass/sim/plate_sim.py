@@ -63,8 +63,7 @@ class PlateSim:
         self._robot = robot = dynamics.robot
         self.n = robot.model.nv
         if path.suffix == ".yaml":
-            mjcf, _ = sim_mjcf(path)
-            self.model = mujoco.MjModel.from_xml_string(mjcf)
+            self.model = mujoco.MjModel.from_xml_string(sim_mjcf(path))
         else:
             self.model = _urdf_model(path, robot.joint_names)
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)

@@ -15,7 +15,9 @@ from scara_effmass.bags.files import open_bag
 from scara_effmass.errors import BagError, OutputError
 from scara_effmass.sim.collision_sim import POLYETHYLENE, SpringContact
 from scara_effmass.sim.experiment import (
+    BANDWIDTH_HZ,
     CONFIGURATIONS,
+    DAMPING_RATIO,
     DWELL_S,
     OBSTACLE_MASSES,
     SPEED,
@@ -99,11 +101,11 @@ class Run(NamedTuple):
             "repetition": self.repetition,
             "speed": setup.speed,
             **asdict(setup.contact),
-            "tip_mass": setup.cart.tip_mass,
+            "tip_mass": 0.0,
             "guide_friction": setup.cart.guide_friction,
             "noise": setup.sensor.noise,
-            "servo_bandwidth": setup.servo.bandwidth,
-            "servo_damping_ratio": setup.servo.damping,
+            "servo_bandwidth": BANDWIDTH_HZ,
+            "servo_damping_ratio": DAMPING_RATIO,
         }
         return "\n".join([SUMMARY, *(f"{name} = {value}" for name, value in settings.items())])
 

@@ -122,8 +122,7 @@ def simulate(seed: int, nuisance: Nuisance, *, turned: bool) -> list[ImpactRun]:
     for run in Campaign(repetitions=1, seed=seed, contact=SpringContact(nuisance.stiffness)).runs:
         setup = run.setup
         cart = OBSTACLE_MASSES.index(setup.obstacle_mass)
-        angle = setup.configuration.heading + nuisance.turn
-        surface = (math.cos(angle), math.sin(angle), 0.0) if turned else None
+        surface = (math.cos(nuisance.turn), math.sin(nuisance.turn), 0.0) if turned else setup.surface
         mass = setup.obstacle_mass * nuisance.carts[cart]
         runs.append(run_impact(replace(setup, obstacle_mass=mass, surface=surface)))
     return runs
