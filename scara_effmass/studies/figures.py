@@ -477,7 +477,7 @@ def make_figure_set(
         advance()
     # Not on the joint grid: with a stretched arm the tool cannot move along n.
     agreement = compare_models(inputs.dynamics, inputs.scara, *equal_area_poses(inputs.scara))
-    claims = tuple(all_claims(inputs.dynamics, inputs.scara, inputs.shown_run, inputs.runs))
+    claims = tuple(all_claims(inputs))
     figure_set = FigureSet(names, claims, agreement)
     advance()
     page = render("paper.html", version=__version__, figures=figures, figure_set=figure_set)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from scara_effmass.studies.claims import Basis, Claim, Outcome, all_claims, run_claims
+from scara_effmass.studies.claims import STATEMENTS, Basis, Claim, Outcome, all_claims, compared, run_claims
 from scara_effmass.studies.runs import FigureInputs, RecordedRun
 
 CONTRADICTED = {"sensitivity", "turned_plots", "repetitions"}
@@ -26,11 +26,11 @@ def values(claims: dict[str, Claim]) -> dict[str, float]:
 
 
 def claims_of(inputs: FigureInputs) -> dict[str, Claim]:
-    return index_claims(all_claims(inputs.dynamics, inputs.scara, inputs.shown_run, inputs.runs))
+    return index_claims(all_claims(inputs))
 
 
 def claims_of_runs(inputs: FigureInputs, runs: Sequence[RecordedRun]) -> dict[str, Claim]:
-    claims = index_claims(run_claims(inputs.scara, inputs.shown_run, runs))
+    claims = index_claims(run_claims(replace(inputs, runs=tuple(runs))))
     return {key: claim for key, claim in claims.items() if key not in {"speed", "midpoint"}}
 
 
@@ -44,6 +44,10 @@ def test_shipped_robot_contradicts_only_the_known_claims(claims: dict[str, Claim
     unchecked = {key for key, claim in claims.items() if claim.outcome is Outcome.NOT_CHECKED}
     assert unchecked == {"lumped_masses_tm5"}
     assert sum(claim.outcome is Outcome.MATCH for claim in claims.values()) == 34
+
+
+def test_every_statement_is_compared(claims: dict[str, Claim]) -> None:
+    assert [*claims] == [*STATEMENTS]
 
 
 def test_claims_have_the_known_values(claims: dict[str, Claim]) -> None:
@@ -113,7 +117,7 @@ def test_one_impact_is_not_checked(inputs: FigureInputs) -> None:
 
 
 def test_nan_never_matches() -> None:
-    claim, nan = Claim("a", "", ""), float("nan")
-    for compared in (claim.near(nan, 1.0, 0.1), claim.at_most(nan, 1.0), claim.more_than(nan, 1.0)):
-        assert (compared.ours, compared.value) == ("nan", None)  # JSON has no NaN
-        assert compared.outcome is Outcome.NO_MATCH
+    for key in ("sample_rate", "minimum_is_m3", "share_below_iso"):
+        claim = compared(key, float("nan"), below=0.0, above=0.0)
+        assert (claim.ours.split()[0], claim.value) == ("nan", None)  # JSON has no NaN
+        assert claim.outcome is Outcome.NO_MATCH
