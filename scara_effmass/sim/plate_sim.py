@@ -14,7 +14,7 @@ from xml.etree import ElementTree as ET
 import mujoco
 import numpy as np
 
-from scara_effmass.iso15066 import TRANSIENT_S, Limit
+from scara_effmass.iso15066 import TRANSIENT_S, Limit, contact_time
 from scara_effmass.iso15066.drives import servo_reduced_masses
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import ServoSettings
@@ -158,21 +158,19 @@ class PlateSim:
         servo: ServoSettings | None = None,
         point: int = 0,
         pace: float = 1.0,
-        phase_step: float = PHASE_STEP,
         qdd: FloatArray | None = None,
-        accelerates_for: float = math.inf,
         surface: Surface = ELASTIC,
         person: FloatArray = AT_REST,
     ) -> Peak:
         """Return the peak of the total force on a plate with the unit `normal` (3,) that contact point `point` touches.
 
         Stiffness and mass of the plate are those of `limit`; a clamped one does not move, another one has the velocity
-        `person` (3,) [m/s] at first. A `servo` compensates gravity
-        and moves its reference on, which gains `qdd` (n,) for the time `accelerates_for` [s], until it has clamped the
-        plate for its stopping time; a controller per joint is tuned to the inertia of its joint at the start. Without
-        `servo` the joints are free but for the torques of `qdd` at the first touch, gravity is off, and the contact
-        ends with the first separation. `pace` below 1 scales velocities, effort limits and gravity down and the peak
-        up, so that the arm stays in the pose of the first touch. Raises ArithmeticError if the simulation diverges.
+        `person` (3,) [m/s] at first. A `servo` compensates gravity and moves its reference on, which gains `qdd` (n,)
+        for the time that the bound assumes, until it has clamped the plate for its stopping time; a controller per
+        joint is tuned to the inertia of its joint at the start. Without `servo` the joints are free but for the torques
+        of `qdd` at the first touch, gravity is off, and the contact ends with the first separation. `pace` below 1
+        scales velocities, effort limits and gravity down and the peak up, so that the arm stays in the pose of the
+        first touch. Raises ArithmeticError if the simulation diverges.
         """
         model, data, k = self.model, self.data, limit.stiffness_n_m
         mujoco.mj_resetData(model, data)
@@ -181,16 +179,17 @@ class PlateSim:
         mobility = row @ np.linalg.solve(inertia, row) + 1.0 / limit.body_mass_kg
         rate, damping = math.sqrt(k * mobility), 2.0 * surface.damping * math.sqrt(k / mobility)
         coarse, duration, stop = 0.0, 4.0 / rate, math.inf
+        accelerates_for = contact_time(limit.body_mass_kg, k)
         model.opt.gravity[2] = 0.0
         qdd = np.zeros(self.n) if qdd is None else qdd
         velocity, effort = qd * pace, self._robot.effort_limits * pace
         if servo is not None:
             omega = 2.0 * math.pi * servo.bandwidth
-            rate, coarse, duration = max(rate, omega), min(phase_step / omega, MAX_STEP_S), TRANSIENT_S
+            rate, coarse, duration = max(rate, omega), min(PHASE_STEP / omega, MAX_STEP_S), TRANSIENT_S
             if math.isinf(limit.body_mass_kg):
                 stop, duration = servo.stopping_time, servo.stopping_time + 1.0 / servo.bandwidth
             model.opt.gravity[2] = GRAVITY * pace
-        fine, inertias = phase_step / rate, np.diag(inertia)
+        fine, inertias = PHASE_STEP / rate, np.diag(inertia)
         offset = float(normal @ self._position(point))
         acceleration, half = np.zeros(self.n), velocity.copy()
         free_torque = np.zeros(self.n) if servo or not qdd.any() else self._torque_of(velocity, qdd)

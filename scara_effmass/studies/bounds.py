@@ -12,7 +12,7 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Mapping, Sequence
-from functools import cache
+from functools import cache, lru_cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -27,7 +27,7 @@ from scipy.optimize import brentq, linprog
 from scara_effmass.codes import Reason
 from scara_effmass.input_files import read_table
 from scara_effmass.iso15066 import Limit, limits_for
-from scara_effmass.iso15066.contact import MAX_TURN, contact_time, turn_until_peak
+from scara_effmass.iso15066.contact import MAX_TURN, turn_until_peak
 from scara_effmass.kernel.state import CODE
 from scara_effmass.model.load import load_robot
 from scara_effmass.model.lumping import is_scara
@@ -59,6 +59,7 @@ TABLES = read_table(__file__, "bounds.yaml")
 ROBOTS: Mapping[str, Mapping[str, Any]] = TABLES["robots"]
 """A SCARA, two arms with six axes and one with seven."""
 RANDOM_ARM = "random arm "
+RANDOM_CASE: Mapping[str, Any] = {"contact_points": ("tip", "wrist=link2")}
 RANDOM_ARMS = 40
 MAX_MONITORS = 50
 """Number of monitors with different settings that an arm keeps."""
@@ -80,7 +81,8 @@ class MonitoredArm:
         self.lower = np.maximum(limits.lowerPositionLimit, -math.pi)
         self.upper = np.minimum(limits.upperPositionLimit, math.pi)
         self.max_speed = limits.velocityLimit
-        self._monitors: dict[MonitorSettings, Monitor] = {}
+        self.monitor = lru_cache(MAX_MONITORS)(partial(Monitor, self.dynamics))
+        """Return a monitor of this robot with the settings."""
 
     def draw_motion(
         self, rng: np.random.Generator, point: int = 0, *, straight: bool = True
@@ -146,19 +148,6 @@ class MonitoredArm:
         weights = rng.dirichlet(np.full(len(contact.vertices), CONCENTRATION))
         return np.asarray(self.dynamics.robot.model.frames[contact.frame].placement.actInv(weights @ contact.vertices))
 
-    def worst_place(
-        self, q: FloatArray, qd: FloatArray, settings: MonitorSettings, link: int, qdd: FloatArray | None = None
-    ) -> FloatArray:
-        """Return where the monitor says that a contact of `link` is worst (3,) [m], in its frame."""
-        contacts = self.monitor(settings).assess_configurations(q[None], qd[None], qdd).contacts
-        return np.array(contacts[0, link]["position_in_link"])
-
-    def monitor(self, settings: MonitorSettings) -> Monitor:
-        """Return a monitor of this robot with `settings`."""
-        if len(self._monitors) >= MAX_MONITORS:
-            self._monitors.clear()
-        return self._monitors.get(settings) or self._monitors.setdefault(settings, Monitor(self.dynamics, settings))
-
     def allowed(
         self,
         q: FloatArray,
@@ -190,25 +179,26 @@ class MonitoredArm:
 
 
 @cache
-def arm_of(robot: str) -> MonitoredArm:
-    """Return the arm of ROBOTS named `robot`, or "random arm N", with a few contact points."""
-    if robot.startswith(RANDOM_ARM):
-        return _arm_in(random_arm(int(robot.removeprefix(RANDOM_ARM))), ("tip", "wrist=link2"))
-    case = ROBOTS[robot]
-    settings = MonitorSettings(contact_points=tuple(case["contact_points"]))
-    return MonitoredArm(share("config", *case["file"]), settings, case.get("armature", 0.0))
+def arm_of(robot: str, *, is_whole: bool = False) -> MonitoredArm:
+    """Return the arm of ROBOTS named `robot`, or "random arm N", with a few contact points.
+
+    `is_whole`: each moving link is watched as a whole, and boxes stand for its meshes.
+    """
+    case = ROBOTS.get(robot, RANDOM_CASE)
+    settings = MonitorSettings(contact_points=(WHOLE_ARM,) if is_whole else tuple(case["contact_points"]))
+    armature = case.get("armature", 0.0)
+    if robot in ROBOTS and not (is_whole and "boxes" in case):
+        return MonitoredArm(share("config", *case["file"]), settings, armature)
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "arm.urdf"
+        text = _with_boxes(case) if robot in ROBOTS else random_arm(int(robot.removeprefix(RANDOM_ARM)))
+        path.write_text(text, encoding="utf-8")
+        return MonitoredArm(path, settings, armature)
 
 
-@cache
-def whole_arm_of(robot: str) -> MonitoredArm:
-    """Return the same arm with each moving link watched as a whole; boxes stand for its meshes."""
-    if robot.startswith(RANDOM_ARM):
-        return _arm_in(random_arm(int(robot.removeprefix(RANDOM_ARM))), (WHOLE_ARM,))
-    case = ROBOTS[robot]
-    path = share("config", *case["file"])
-    if "boxes" not in case:
-        return MonitoredArm(path, MonitorSettings(contact_points=(WHOLE_ARM,)))
-    root = ET.parse(path).getroot()  # noqa: S314 - a shipped file
+def _with_boxes(case: Mapping[str, Any]) -> str:
+    """Return the URDF of one of ROBOTS with boxes in place of its meshes."""
+    root = ET.parse(share("config", *case["file"])).getroot()  # noqa: S314 - a shipped file
     for link in root.findall("link"):
         if link.get("name") in case["boxes"]:
             for mesh in [*link.findall("visual"), *link.findall("collision")]:
@@ -217,15 +207,7 @@ def whole_arm_of(robot: str) -> MonitoredArm:
             collision = ET.SubElement(link, "collision")
             ET.SubElement(collision, "origin", xyz=center)
             ET.SubElement(ET.SubElement(collision, "geometry"), "box", size=size)
-    return _arm_in(ET.tostring(root, encoding="unicode"), (WHOLE_ARM,), case.get("armature", 0.0))
-
-
-def _arm_in(text: str, contact_points: tuple[str, ...], armature: float = 0.0) -> MonitoredArm:
-    """Return the arm of the URDF `text`."""
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "arm.urdf"
-        path.write_text(text, encoding="utf-8")
-        return MonitoredArm(path, MonitorSettings(contact_points=contact_points), armature)
+    return ET.tostring(root, encoding="unicode")
 
 
 def settings_for(region: str = "", **settings: object) -> MonitorSettings:
@@ -265,10 +247,8 @@ def contacts(
 ) -> FloatArray:
     """Return the peak force over the limit and the turn of the joints [rad, m] of contacts at the allowed speed.
 
-    The contact point accelerates as in `draw`, for the time that the bound assumes; damping and friction of the contact
-    are those of the settings.
-
-    Shape (count, 2). The `plate` is at the worst angle for free joints, across the velocity, or at a random angle.
+    Shape (count, 2). The contact point accelerates as in `draw`; damping and friction are those of the settings. The
+    `plate` is at the worst angle for free joints, across the velocity, or at a random angle.
     """
     checked = settings_for(region, **settings)
     (limit,) = limits_for(checked)
@@ -276,9 +256,8 @@ def contacts(
     for _ in range(count):
         q, qd, qdd = draw(arm, rng, checked, acceleration)
         normal = arm.plate_normal(plate, q, qd, limit, rng)
-        time = contact_time(limit.body_mass_kg, limit.stiffness_n_m)
         surface = Surface(checked.contact_damping, checked.contact_friction)
-        peak = arm.sim.touch(q, qd, normal, limit, pushing, pace=pace, qdd=qdd, accelerates_for=time, surface=surface)
+        peak = arm.sim.touch(q, qd, normal, limit, pushing, pace=pace, qdd=qdd, surface=surface)
         results.append((peak.force / limit.permissible_force_n, peak.turn))
     return np.array(results)
 
@@ -332,9 +311,9 @@ def turning_contacts(count: int, rng: np.random.Generator) -> FloatArray:
         qdd = turns / turn_until_peak(1.0, limit.body_mass_kg, limit.stiffness_n_m)
         qd = arm.allowed(q, creep, settings, point, qdd)
         if qd is not None and qd.any():
-            pushing, lasting = servo if rng.integers(2) else None, contact_time(limit.body_mass_kg, limit.stiffness_n_m)
+            pushing = servo if rng.integers(2) else None
             normal = arm.sim.worst_normal(q, qd, limit, pushing, point)
-            peak = arm.sim.touch(q, qd, normal, limit, pushing, point, qdd=qdd, accelerates_for=lasting)
+            peak = arm.sim.touch(q, qd, normal, limit, pushing, point, qdd=qdd)
             ratios.append(peak.force / limit.permissible_force_n)
     return np.array(ratios)
 

@@ -25,11 +25,11 @@ from scipy.stats import binomtest
 from scara_effmass import __version__
 from scara_effmass.analysis.report import CYCLE, INK, STYLE, new_figure, render, report_figure, write_report_files
 from scara_effmass.errors import OutputError
-from scara_effmass.iso15066 import Limit, contact_time, limits_for
+from scara_effmass.iso15066 import Limit, limits_for
 from scara_effmass.model.lumping import is_scara
 from scara_effmass.settings import MonitorSettings, ServoSettings
 from scara_effmass.sim.plate_sim import Peak, Surface
-from scara_effmass.studies.bounds import RANDOM_ARM, RANDOM_ARMS, ROBOTS, TABLES, whole_arm_of
+from scara_effmass.studies.bounds import RANDOM_ARM, RANDOM_ARMS, ROBOTS, TABLES, arm_of
 from scara_effmass.values import FloatArray, at_least
 
 Row = dict[str, str | int | float]
@@ -128,7 +128,7 @@ class Impact(NamedTuple):
             "contact_damping": self.surface.damping,
             "contact_friction": self.surface.friction,
         }
-        if not is_scara(whole_arm_of(self.robot).dynamics.robot):
+        if not is_scara(arm_of(self.robot, is_whole=True).dynamics.robot):
             values["effective_mass_model"] = "full"
         return {name: MonitorSettings.model_validate({**values, **changes}) for name, changes in SETTINGS.items()}
 
@@ -144,7 +144,7 @@ def draw_impact(seed: int, index: int) -> Impact:
     rng = np.random.default_rng((seed, index))
     turn, robot = divmod(index, len(ROBOTS) + 1)
     name = f"{RANDOM_ARM}{rng.integers(RANDOM_ARMS)}" if robot == len(ROBOTS) else list(ROBOTS)[robot]
-    arm = whole_arm_of(name)
+    arm = arm_of(name, is_whole=True)
     limits = limits_for(MonitorSettings())
     limit = limits[int(rng.integers(len(limits)))]
     bandwidth, damping = float(rng.choice(BANDWIDTHS_HZ)), float(rng.choice(DAMPING_RATIOS))
@@ -189,7 +189,7 @@ def _sometimes(rng: np.random.Generator, largest: float) -> float:
 
 def _starts(impact: Impact, creep: FloatArray, rng: np.random.Generator) -> dict[str, Start]:
     """Return the start of the impact with each setting, for the motion `creep` (n,); empty to draw again."""
-    arm, q, limit, link = whole_arm_of(impact.robot), impact.q, impact.limit, impact.link
+    arm, q, limit, link = arm_of(impact.robot, is_whole=True), impact.q, impact.limit, impact.link
     series, starts = int(rng.integers(2**32)), {}
     for name, settings in impact.settings.items():
         qd = arm.allowed(q, creep, settings, link, impact.qdd)
@@ -200,7 +200,8 @@ def _starts(impact: Impact, creep: FloatArray, rng: np.random.Generator) -> dict
         person = impact.person_speed * direction / np.linalg.norm(direction)
         position = impact.position
         if impact.place == WORST:
-            position = arm.worst_place(q, moving, settings, link, impact.qdd)
+            contacts = arm.monitor(settings).assess_configurations(q[None], moving[None], impact.qdd).contacts
+            position = np.array(contacts[0, link]["position_in_link"])
         arm.sim.move_contact(link, position)
         if impact.plate == WORST:
             person = arm.sim.worst_person(q, moving, limit, impact.person_speed, link)
@@ -212,26 +213,15 @@ def _starts(impact: Impact, creep: FloatArray, rng: np.random.Generator) -> dict
 def simulate(seed: int, index: int) -> list[Row]:
     """Return a row for each setting of random impact number `index`; names hold the units, vectors are text."""
     impact = draw_impact(seed, index)
-    arm, servo, limit = whole_arm_of(impact.robot), impact.servo, impact.limit
-    accelerates_for = contact_time(limit.body_mass_kg, limit.stiffness_n_m)
+    arm, servo, limit = arm_of(impact.robot, is_whole=True), impact.servo, impact.limit
     rows: list[Row] = []
     for setting, (qd, position, person, normal) in impact.starts.items():
         arm.sim.move_contact(impact.link, position)
         jacobian, _ = arm.sim.kinematics(impact.q, impact.link)
         peak = Peak(0.0, 0.0, 0.0)
         if qd.any():
-            peak = arm.sim.touch(
-                impact.q,
-                qd,
-                normal,
-                limit,
-                impact.pushing,
-                impact.link,
-                qdd=impact.qdd,
-                accelerates_for=accelerates_for,
-                surface=impact.surface,
-                person=person,
-            )
+            options: dict[str, Any] = {"qdd": impact.qdd, "surface": impact.surface, "person": person}
+            peak = arm.sim.touch(impact.q, qd, normal, limit, impact.pushing, impact.link, **options)
         rows.append(
             {
                 "index": index,

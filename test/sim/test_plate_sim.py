@@ -11,8 +11,9 @@ import pytest
 
 from scara_effmass.iso15066 import limits_for
 from scara_effmass.settings import MonitorSettings, ServoSettings
+from scara_effmass.sim import plate_sim
 from scara_effmass.sim.plate_sim import PHASE_STEP
-from scara_effmass.studies.bounds import ROBOTS, arm_of, whole_arm_of
+from scara_effmass.studies.bounds import ROBOTS, arm_of
 
 (CHEST,) = limits_for(MonitorSettings(body_regions=("chest",)))
 STILL = 1e-6
@@ -37,7 +38,7 @@ def test_mujoco_and_pinocchio_agree_on_every_contact_point(robot: str) -> None:
 
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_mujoco_and_pinocchio_agree_on_every_place_of_a_link(robot: str) -> None:
-    arm, rng = whole_arm_of(robot), np.random.default_rng(1)
+    arm, rng = arm_of(robot, is_whole=True), np.random.default_rng(1)
     model = arm.dynamics.robot.model
     data = model.createData()
     for link in arm.links():
@@ -95,14 +96,15 @@ def test_a_simulation_that_diverges_has_no_peak(servo: ServoSettings | None) -> 
 
 
 @pytest.mark.parametrize("servo", [None, DECOUPLED, ServoSettings(bandwidth=20.0, damping=0.5)])
-def test_error_of_the_time_step(servo: ServoSettings | None) -> None:
+def test_error_of_the_time_step(servo: ServoSettings | None, monkeypatch: pytest.MonkeyPatch) -> None:
     arm = arm_of("UR10")
     rng = np.random.default_rng(4)
     for _ in range(3):
         q, creep = arm.draw_motion(rng)
         qd = creep * (0.8 / 0.006)
         normal = arm.sim.worst_normal(q, qd, CHEST)
-        coarse, fine = (
-            arm.sim.touch(q, qd, normal, CHEST, servo, phase_step=step).force for step in (PHASE_STEP, PHASE_STEP / 4.0)
-        )
+        coarse = arm.sim.touch(q, qd, normal, CHEST, servo).force
+        with monkeypatch.context() as finer:
+            finer.setattr(plate_sim, "PHASE_STEP", PHASE_STEP / 4.0)
+            fine = arm.sim.touch(q, qd, normal, CHEST, servo).force
         assert coarse == pytest.approx(fine, rel=1e-3)

@@ -13,7 +13,7 @@ from scara_effmass.settings import MonitorSettings, ServoSettings
 from scara_effmass.share import share
 from scara_effmass.sim.recordings import EPOCH_NS
 from scara_effmass.studies import bounds
-from scara_effmass.studies.bounds import RANDOM_ARM, ROBOTS, TINY, MonitoredArm, arm_of, whole_arm_of
+from scara_effmass.studies.bounds import RANDOM_ARM, ROBOTS, TINY, MonitoredArm, arm_of
 from scara_effmass.values import FloatArray, JointState, Verdict
 
 TOLERANCE = 1.005
@@ -264,7 +264,7 @@ def test_tool_at_its_limit_does_not_allow_too_fast_an_elbow(scara: MonitoredArm)
 @pytest.mark.parametrize("pushing", [None, ServoSettings(bandwidth=1.0)])
 def test_person_who_meets_a_slow_link_at_a_heavier_place_is_within_the_bound(pushing: ServoSettings | None) -> None:
     """Where it is fastest the link yields; of a servo, too, the energy of the person counts everywhere on the link."""
-    arm, link = whole_arm_of("random arm 2"), 4
+    arm, link = arm_of("random arm 2", is_whole=True), 4
     arm.sim.scale_masses(np.ones(arm.sim.n))
     q, qd = np.array([-2.2896, 2.4170, 2.2589, 0.2577]), np.array([-0.0059, 0.0187, -0.0236, 0.0246])
     person = np.array([-0.0414, 0.1428, -0.1338])
@@ -287,7 +287,7 @@ def test_bound_of_a_moving_person_holds_everywhere_on_a_slow_link(is_coupled: bo
     rng, ratios = np.random.default_rng(1), []
     servo = ServoSettings(bandwidth=2.0, computed_torque=is_coupled)
     for _ in range(80):
-        arm = whole_arm_of([*ROBOTS, f"{RANDOM_ARM}2"][rng.integers(5)])
+        arm = arm_of([*ROBOTS, f"{RANDOM_ARM}2"][rng.integers(5)], is_whole=True)
         arm.sim.scale_masses(np.ones(arm.sim.n))
         link, region, person_speed = int(rng.choice(arm.links())), ("chest", "lower_leg")[rng.integers(2)], 0.2
         settings = MonitorSettings(

@@ -16,7 +16,7 @@ from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings, ServoSettings
 from scara_effmass.sim.recordings import EPOCH_NS
 from scara_effmass.studies import evidence
-from scara_effmass.studies.bounds import CREEP_MPS, RANDOM_ARM, ROBOTS, TINY, arm_of, whole_arm_of
+from scara_effmass.studies.bounds import CREEP_MPS, RANDOM_ARM, ROBOTS, TINY, arm_of
 from scara_effmass.studies.evidence import (
     FREE,
     LOSSY,
@@ -164,7 +164,7 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> str:
 def test_every_setting_starts_at_exactly_the_allowed_speed() -> None:
     for index in (0, 1, 2, 23):
         impact = draw_impact(SEED, index)
-        arm = whole_arm_of(impact.robot)
+        arm = arm_of(impact.robot, is_whole=True)
         settings = impact.settings
         assert settings.keys() == impact.starts.keys()
         for name, (qd, position, person, normal) in impact.starts.items():
@@ -190,7 +190,7 @@ def test_no_verdict_is_ok_for_a_user_who_states_nothing() -> None:
     """So none of them can exceed the limit; the shipped SCARA's file states everything."""
     rng = np.random.default_rng(SEED)
     for name in (*list(ROBOTS)[1:], *(f"{RANDOM_ARM}{number}" for number in range(5))):
-        arm = whole_arm_of(name)
+        arm = arm_of(name, is_whole=True)
         for _ in range(20):
             q, qd = arm.draw_motion(rng)
             state = JointState(EPOCH_NS, arm.dynamics.robot.joint_names, q, qd)
