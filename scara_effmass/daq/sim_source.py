@@ -31,7 +31,15 @@ class SimSource(ForceSource):
     def __init__(self, settings: DaqSettings, now_ns: Callable[[], int], pace_ns: Callable[[], int]) -> None:
         """Return blocks when the clock `pace_ns` has reached the time at which they are due."""
         self.requested_rate = self.sample_rate = settings.sim.sample_rate
-        self._settings = settings
+        self._settings, sim = settings, settings.sim
+        self._sensor = ForceSensor(
+            sample_rate=sim.sample_rate,
+            clock_error=sim.clock_error,
+            sensitivity=settings.sensor.sensitivity,
+            range=settings.sensor.range,
+            noise=sim.noise,
+            seed=sim.seed,
+        )
         self._now_ns = now_ns
         self._pace_ns = pace_ns
         self._closed = threading.Event()
@@ -91,22 +99,16 @@ class HalfSineSource(SimSource):
 
     def compute_blocks(self) -> Iterator[tuple[int, int, FloatArray]]:
         """See `SimSource`."""
-        sim, sensor = self._settings.sim, self._settings.sensor
-        signal = SyntheticSignal(
-            channels=sim.channels,
-            sample_rate=sim.sample_rate,
-            noise=sim.noise,
-            seed=sim.seed,
-            sensitivity=sensor.sensitivity,
-            pulses=RandomPulses(sim.seed, sim.sample_rate, sim.impact_period),
-        )
+        sim, is_inverted = self._settings.sim, self._settings.sensor.invert
+        pulses = RandomPulses(sim.seed, sim.sample_rate, sim.impact_period)
+        signal = SyntheticSignal(sim.channels, self._sensor, pulses)
         self.limit = signal.limit
-        true_rate = sim.sample_rate * (1.0 + sim.clock_error)
         start_ns = self._pace_ns()
         size = max(1, round(self._settings.block_time * sim.sample_rate))
         for first in count(0, size):
             samples = signal.samples(first, size)
-            yield start_ns + round((first + size) * NS / true_rate), first, -samples if sensor.invert else samples
+            due_ns = start_ns + round((first + size) * NS / self._sensor.true_rate)
+            yield due_ns, first, -samples if is_inverted else samples
 
 
 @final
@@ -124,17 +126,8 @@ class SimCellSource(SimSource):
         from scara_effmass.sim.experiment import LiveSim  # noqa: PLC0415 - needs MuJoCo, which the other scene does not
 
         super().__init__(settings, now_ns, now_ns)
-        sim = settings.sim
         self._start_sim = LiveSim
-        self._sensor = ForceSensor(
-            sample_rate=sim.sample_rate,
-            clock_error=sim.clock_error,
-            sensitivity=settings.sensor.sensitivity,
-            range=settings.sensor.range,
-            noise=sim.noise,
-            seed=sim.seed,
-        )
-        self.description = f"simulated force: simulated cell (MuJoCo), seed {sim.seed}"
+        self.description = f"simulated force: simulated cell (MuJoCo), seed {settings.sim.seed}"
         self.limit = self._sensor.saturation
         self.filter_delay = self._sensor.filter_delay
 

@@ -120,14 +120,13 @@ class ArmEstimate(NamedTuple):
 class EffectiveMasses(NamedTuple):
     """Effective masses (k,) [kg] by the file and as identified, and standard deviations of the latter.
 
-    `prior_deviations` are those before anything was known; `directions` (k,) is "worst", "vertical" or "random".
+    `directions` (k,) is "worst", "vertical" or "random".
     """
 
     directions: tuple[str, ...]
     stated: FloatArray
     identified: FloatArray
     deviations: FloatArray
-    prior_deviations: FloatArray
 
 
 class _Prior(NamedTuple):
@@ -317,8 +316,7 @@ def effective_masses(estimate: ArmEstimate, samples: int) -> EffectiveMasses:
         kinds += counted
         stated, _ = effective_mass(robot, model, data, q, normals, frame)
         found, gradients = effective_mass(robot, changed, changed_data, q, normals, frame)
-        deviations = (np.linalg.norm(gradients @ root, axis=1) for root in (estimate.root, estimate.prior_root))
-        rows.append(np.column_stack((stated, found, *deviations)))
+        rows.append(np.column_stack((stated, found, np.linalg.norm(gradients @ estimate.root, axis=1))))
     return EffectiveMasses(tuple(kinds), *np.vstack(rows).T)
 
 

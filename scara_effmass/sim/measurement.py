@@ -130,11 +130,6 @@ def read_torque(torque: FloatArray) -> FloatArray:
     return effort
 
 
-def newtons_per_count(sensitivity: float) -> float:
-    """Return the resolution [N] of a sensor of `sensitivity` [mV/N] on the converter."""
-    return FULL_SCALE * 1e3 / sensitivity / MAX_COUNT
-
-
 @dataclass(frozen=True, slots=True)
 class ForceSensor:
     """Sensor and converter.
@@ -155,7 +150,7 @@ class ForceSensor:
     @property
     def step(self) -> float:
         """Resolution [N]."""
-        return newtons_per_count(self.sensitivity)
+        return FULL_SCALE * 1e3 / self.sensitivity / MAX_COUNT
 
     @property
     def saturation(self) -> float:
@@ -337,45 +332,33 @@ class RandomPulses:
 
 @final
 class SyntheticSignal:
-    """Synthetic force of several channels [N], compression positive, in whole counts.
+    """Synthetic force of several channels [N], compression positive, in whole counts of `sensor`.
 
-    `noise` is a standard deviation [N], `sensitivity` in [mV/N]. All channels share one noise of NOISE_SAMPLES,
-    CHANNEL_SPACING apart.
+    All channels share one noise of NOISE_SAMPLES, CHANNEL_SPACING apart.
     """
 
-    def __init__(
-        self,
-        *,
-        channels: int,
-        sample_rate: float,
-        noise: float,
-        seed: int,
-        sensitivity: float,
-        pulses: PulseSchedule,
-    ) -> None:
-        self.sample_rate = sample_rate
+    def __init__(self, channels: int, sensor: ForceSensor, pulses: PulseSchedule) -> None:
+        self.sensor = sensor
         self.pulses = pulses
-        self.step = newtons_per_count(sensitivity)
-        """Resolution [N]."""
-        self.limit = self.step * MAX_COUNT
+        self.limit = sensor.step * MAX_COUNT
         """Largest force that fits the converter [N]."""
         self._starts = CHANNEL_SPACING * np.arange(channels)[:, np.newaxis]
         self._noise = np.empty(NOISE_SAMPLES)
-        bits = PCG64([seed, _SYNTHETIC_STREAM])
+        bits = PCG64([sensor.seed, _SYNTHETIC_STREAM])
         for chunk in self._noise.reshape(-1, _SYNTHETIC_CHUNK):
-            chunk[:] = np.rint(_next_normal(bits, _SYNTHETIC_CHUNK) * (noise / self.step))
+            chunk[:] = np.rint(_next_normal(bits, _SYNTHETIC_CHUNK) * (sensor.noise / sensor.step))
 
     def samples(self, first: int, count: int) -> FloatArray:
         """Return the samples (channels, count) from number `first` on, read-only."""
         counts = np.take(self._noise, self._starts + np.arange(first, first + count), mode="wrap")
         for channel, row in enumerate(counts):
             for pulse in self.pulses(channel, first, first + count):
-                onset, force = pulse.sample(self.sample_rate)
+                onset, force = pulse.sample(self.sensor.sample_rate)
                 begin, end = max(onset, first), min(onset + len(force), first + count)
                 if begin < end:
-                    row[begin - first : end - first] += np.rint(force[begin - onset : end - onset] / self.step)
+                    row[begin - first : end - first] += np.rint(force[begin - onset : end - onset] / self.sensor.step)
         np.clip(counts, -MAX_COUNT, MAX_COUNT, out=counts)
-        counts *= self.step
+        counts *= self.sensor.step
         counts.flags.writeable = False
         return counts
 

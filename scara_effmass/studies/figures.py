@@ -116,13 +116,14 @@ class ColorScale:
             lines = axes.contour(x, y, values, levels=[iso], colors=ISO_RED, linewidths=width, **above)
             lines.set_path_effects([withStroke(linewidth=halo, foreground="white")])
 
-    def add_bar(self, figure: Figure, panels: Sequence[Axes], iso_text: str, **options: float) -> None:
-        """Draw the colour bar of `panels`, and a legend of the red contour with the value `iso_text` unless empty."""
+    def add_bar(self, figure: Figure, panels: Sequence[Axes], iso: Sequence[float], **options: float) -> None:
+        """Draw the colour bar of `panels`, and a legend of the red contours `iso`, one for each slice."""
         mappable = mpl.cm.ScalarMappable(self.norm, mpl.rcParams["image.cmap"])
         bar = figure.colorbar(mappable, ax=list(panels), ticks=self.ticks, label=self.label, **options)  # type: ignore[arg-type]
         bar.ax.minorticks_off()
-        if iso_text:
-            label = f"{self.iso_symbol} = {iso_text}"
+        if iso:
+            values = ", ".join(f"{value:.2f}" for value in iso)
+            label = f"{self.iso_symbol} = {values} kg (ISO standard){', from the bottom up' * (len(iso) > 1)}"
             line = Line2D([], [], color=ISO_RED, linewidth=2.0, label=label, path_effects=[Stroke()])
             figure.legend(handles=[line], loc="outside lower left")
 
@@ -229,7 +230,7 @@ def figure_12(inputs: FigureInputs) -> Figure:
     for axes, phi, name in zip(panels, (ALONG_Y, OBLIQUE), ("(a) n = [0 1 0]", "(b) n = [0.6 0.8 0]"), strict=True):
         mu = reduced_mass(scara.lumped(*poses, phi), SHOWN_OBSTACLE_KG)
         _draw_workspace(axes, scara.tool(*poses), mu, REDUCED, name, iso, phi)
-    REDUCED.add_bar(figure, panels, _iso_text([iso]))
+    REDUCED.add_bar(figure, panels, [iso])
     return figure
 
 
@@ -249,7 +250,7 @@ def figure_15(inputs: FigureInputs) -> Figure:
     figure = new_figure(7.4, 6.2, f"Fig. 15  Smaller reduced mass of both arms, $m_H$ = {SHOWN_OBSTACLE_KG:g} kg")
     axes = figure.subplots()
     _draw_workspace(axes, (grid.x, grid.y), mu, REDUCED, "simplified model, n = [1 0 0]", iso)
-    REDUCED.add_bar(figure, [axes], _iso_text([iso]))
+    REDUCED.add_bar(figure, [axes], [iso])
     return figure
 
 
@@ -265,7 +266,7 @@ def _draw_both_spaces(
     angles.set(xticks=np.arange(-120.0, 121.0, 60.0))
     angles.set(yticks=[tick for tick in np.arange(-120.0, 121.0, 30.0) if q2.min() <= tick <= q2.max()])
     angles.set_title("(b) joint space")
-    scale.add_bar(figure, [workspace, angles], _iso_text([iso]) if iso is not None else "")
+    scale.add_bar(figure, [workspace, angles], [] if iso is None else [iso])
     return figure
 
 
@@ -313,13 +314,8 @@ def _draw_slices(
     angles.set(xlabel="$q_1$ [deg]", ylabel="$q_2$ [deg]", xlim=(q1.min(), q1.max()), ylim=(q2.min(), q2.max()))
     angles.set(xticks=(-120.0, -60.0, 0.0, 60.0), yticks=(0.0, 60.0, 120.0))
     angles.set_title("(b) joint space")
-    iso_text = f"{_iso_text(iso)}, from the bottom up" if iso else ""
-    scale.add_bar(figure, [workspace, angles], iso_text, shrink=0.7, pad=0.06)
+    scale.add_bar(figure, [workspace, angles], iso, shrink=0.7, pad=0.06)
     return figure
-
-
-def _iso_text(values: Sequence[float]) -> str:
-    return ", ".join(f"{value:.2f}" for value in values) + " kg (ISO standard)"
 
 
 def figure_8(inputs: FigureInputs) -> Figure:
@@ -421,12 +417,9 @@ def _point_name(point: Point) -> str:
 
 
 DrawFigure = Callable[[FigureInputs], Figure]
-_DRAW: tuple[DrawFigure, ...] = (
-    *(figure_6, figure_7, figure_8, figure_9, figure_10, figure_11),
-    *(figure_12, figure_14, figure_15, figure_17, figure_18, figure_19),
-)
-_CAPTIONS = read_table(__file__, "captions.yaml")
-FIGURES = {draw: str(_CAPTIONS[draw.__name__]) for draw in _DRAW}
+FIGURES: dict[DrawFigure, str] = {
+    globals()[name]: caption for name, caption in read_table(__file__, "captions.yaml").items()
+}
 """Captions by the functions that draw the figures; the files have the names of the functions."""
 STEPS = len(FIGURES) + 1
 """Number of calls of `advance` in `make_figure_set`."""

@@ -28,8 +28,6 @@ NORMAL = (1.0, 0.0, 0.0)
 """Normal of the plate in the paper's experiment."""
 POINT_OF_FIG_17 = (0.300, 0.200)
 """Impact point of Fig. 17, the only one in the paper's text."""
-SPEED = 0.250
-"""Nominal speed of the impacts [m/s]."""
 REPETITIONS = 3
 """Runs of each case in the paper."""
 
@@ -71,15 +69,6 @@ class RecordedRun:
         return (onset_x - float(self.x[0])) / float(self.x[-1] - self.x[0])
 
 
-def read_runs(folder: Path, scara: Scara, joints: tuple[str, ...]) -> tuple[RecordedRun, ...]:
-    """Return the runs in `folder`, with impacts detected in the recorded force; `joints` are the names of q1 and q2.
-
-    Raises BagError for a recording that lacks one complete impact along x, obstacle mass and impact point, or joint
-    states around the impact.
-    """
-    return tuple(_read_run(path, scara, joints) for path in find_bags(folder))
-
-
 @dataclass(frozen=True, slots=True)
 class FigureInputs:
     """Robot and recorded runs, at least one."""
@@ -97,10 +86,11 @@ class FigureInputs:
 def read_inputs(dynamics: RobotDynamics, campaign: Path) -> FigureInputs:
     """Return the inputs for the SCARA in `dynamics` with the runs in the folder `campaign`.
 
-    Raises RobotError for a robot that is no SCARA, and BagError as `read_runs` does.
+    Impacts are detected in the recorded force. Raises RobotError for a robot that is no SCARA, and BagError for a
+    recording that lacks one complete impact along x, obstacle mass and impact point, or joint states around the impact.
     """
-    scara = scara_of(dynamics)
-    return FigureInputs(dynamics, scara, read_runs(campaign, scara, dynamics.robot.joint_names[:2]))
+    scara, joints = scara_of(dynamics), dynamics.robot.joint_names[:2]
+    return FigureInputs(dynamics, scara, tuple(_read_run(path, scara, joints) for path in find_bags(campaign)))
 
 
 def _read_run(path: Path, scara: Scara, joints: tuple[str, ...]) -> RecordedRun:

@@ -204,14 +204,14 @@ def joint_grid(scara: Scara, elbow_config: ElbowConfig = ElbowConfig.RIGHT) -> J
     return JointAngles(*np.meshgrid(q1, q2, indexing="ij"))
 
 
-def equal_area_poses(scara: Scara, elbow_config: ElbowConfig = ElbowConfig.RIGHT, count: int = GRID) -> JointAngles:
-    """Return poses (count^2,) whose tool positions each represent the same area of the workspace.
+def equal_area_poses(scara: Scara, count: int = GRID) -> JointAngles:
+    """Return poses (count^2,) of the right arm whose tool positions each represent the same area of the workspace.
 
     dA = l1 l2 |sin q2| dq1 dq2: the poses are the centres of equal steps in q1 and in cos q2.
     """
     centres = (np.arange(count) + 0.5) / count
     q1 = scara.q1_max * (2.0 * centres - 1.0)
-    q2 = elbow_config.value * np.arccos(1.0 - centres * (1.0 - np.cos(scara.q2_max)))
+    q2 = np.arccos(1.0 - centres * (1.0 - np.cos(scara.q2_max)))
     q1, q2 = np.meshgrid(q1, q2, indexing="ij")
     return JointAngles(q1.ravel(), q2.ravel())
 

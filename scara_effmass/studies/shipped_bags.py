@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from scara_effmass.errors import EffmassError, OutputError
 from scara_effmass.input_files import read_table
-from scara_effmass.sim.measurement import FORCE_SENSOR, FRAME_ID, Pulse, SyntheticSignal, quantize
+from scara_effmass.sim.measurement import FRAME_ID, ForceSensor, Pulse, SyntheticSignal, quantize
 from scara_effmass.sim.motion import (
     ElbowConfig,
     JointMove,
@@ -150,21 +150,15 @@ RECORDINGS = (
 
 def synthetic_force(pulses: Sequence[Pulse], duration_s: float, start_ns: int, seed: int) -> Iterator[ForceBlock]:
     """Yield the whole blocks of 0.1 s that fit into `duration_s` [s], from `start_ns` on."""
-    signal = SyntheticSignal(
-        channels=1,
-        sample_rate=FORCE_SENSOR.sample_rate,
-        noise=NOISE,
-        seed=seed,
-        sensitivity=FORCE_SENSOR.sensitivity,
-        pulses=lambda _channel, _first, _end: pulses,
-    )
-    for number in range(int(duration_s * FORCE_SENSOR.sample_rate) // BLOCK_SAMPLES):
+    sensor = ForceSensor(noise=NOISE, seed=seed)
+    signal = SyntheticSignal(1, sensor, lambda _channel, _first, _end: pulses)
+    for number in range(int(duration_s * sensor.sample_rate) // BLOCK_SAMPLES):
         first = number * BLOCK_SAMPLES
         yield ForceBlock(
             stamp_ns=start_ns + number * BLOCK_NS,
             frame_id=FRAME_ID,
             first_sample=first,
-            sample_rate=FORCE_SENSOR.sample_rate,
+            sample_rate=sensor.sample_rate,
             force=signal.samples(first, BLOCK_SAMPLES)[0],
             source=SOURCE,
             simulated=True,

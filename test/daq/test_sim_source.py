@@ -6,7 +6,7 @@ from scara_effmass.daq import make_source
 from scara_effmass.daq.sim_source import HalfSineSource
 from scara_effmass.daq.source import Reading
 from scara_effmass.settings import DaqSettings, ForceSourceKind, SensorSettings, SimSettings
-from scara_effmass.sim.measurement import RandomPulses, SyntheticSignal
+from scara_effmass.sim.measurement import ForceSensor, RandomPulses, SyntheticSignal
 from test.daq.force_bag import Clock
 
 NS = 1_000_000_000
@@ -43,14 +43,8 @@ def test_sim_source_declares_that_it_is_simulated() -> None:
 def test_samples_are_those_of_the_synthetic_signal() -> None:
     source, clock = started()
     clock.now_ns += NS
-    signal = SyntheticSignal(
-        channels=2,
-        sample_rate=12_800.0,
-        noise=SETTINGS.sim.noise,
-        seed=5,
-        sensitivity=SETTINGS.sensor.sensitivity,
-        pulses=RandomPulses(5, 12_800.0, 0.2),
-    )
+    sensor = ForceSensor(sensitivity=SETTINGS.sensor.sensitivity, noise=SETTINGS.sim.noise, seed=5)
+    signal = SyntheticSignal(2, sensor, RandomPulses(5, 12_800.0, 0.2))
     readings = [block(source) for _ in range(10)]
     assert [reading.first_sample for reading in readings] == [number * BLOCK for number in range(10)]
     assert {reading.lost for reading in readings} == {0}

@@ -17,6 +17,7 @@ from scara_effmass.sim.measurement import (
     PEAKS,
     REBOUND_GAPS,
     REBOUND_PEAKS,
+    ForceSensor,
     Pulse,
     RandomPulses,
     SyntheticSignal,
@@ -24,21 +25,14 @@ from scara_effmass.sim.measurement import (
 from scara_effmass.studies.shipped_bags import NOISE, TOUR_PULSES, synthetic_force
 
 RATE = 12_800.0
-SENSITIVITY = 2.248
 START_NS = 5_000_000_000
 
 
 def signal(
     *, channels: int = 1, noise: float = 0.1, seed: int = 7, period: float | None = 0.3, pulses: tuple[Pulse, ...] = ()
 ) -> SyntheticSignal:
-    return SyntheticSignal(
-        channels=channels,
-        sample_rate=RATE,
-        noise=noise,
-        seed=seed,
-        sensitivity=SENSITIVITY,
-        pulses=(lambda *_: pulses) if period is None or pulses else RandomPulses(seed, RATE, period),
-    )
+    schedule = (lambda *_: pulses) if period is None or pulses else RandomPulses(seed, RATE, period)
+    return SyntheticSignal(channels, ForceSensor(noise=noise, seed=seed), schedule)
 
 
 SIGNAL = signal(channels=3)
@@ -60,13 +54,13 @@ def test_equal_seeds_give_equal_samples_and_different_seeds_independent_ones() -
 
 def test_samples_never_change() -> None:
     # If they do, increase REVISION of the recordings, which contain such samples.
-    counts = np.rint(WHOLE[:2, :4] / SIGNAL.step).astype(int).tolist()
+    counts = np.rint(WHOLE[:2, :4] / SIGNAL.sensor.step).astype(int).tolist()
     assert counts == [[-107, 16, -15, -25], [-66, 29, -133, 111]]
 
 
 def test_samples_are_whole_counts_of_24_bits_over_60_v_and_read_only() -> None:
-    assert pytest.approx(60.0 / 2**24 / (SENSITIVITY * 1e-3), rel=1e-6) == SIGNAL.step
-    counts = WHOLE / SIGNAL.step
+    assert pytest.approx(60.0 / 2**24 / 2.248e-3, rel=1e-6) == SIGNAL.sensor.step
+    counts = WHOLE / SIGNAL.sensor.step
     assert np.abs(counts - np.rint(counts)).max() < 1e-9
     with pytest.raises(ValueError, match="read-only"):
         WHOLE[0, 0] = 0.0
@@ -128,7 +122,7 @@ def test_samples_are_noise_plus_pulses() -> None:
         first, force = pulse.sample(RATE)
         expected[first : first + len(force)] += force
     difference = signal().samples(0, end)[0] - signal(period=None).samples(0, end)[0]
-    assert np.abs(difference - expected[:end]).max() < 0.51 * SIGNAL.step
+    assert np.abs(difference - expected[:end]).max() < 0.51 * SIGNAL.sensor.step
     assert len(schedule) > 190
     assert sum(pulse.rebound for pulse in schedule) > 20
 
@@ -181,7 +175,7 @@ def test_force_beyond_the_range_is_clipped() -> None:
     # 30 V at 2.248 mV/N are 13 345 N.
     high = signal(noise=0.0, pulses=(Pulse(100.5 / RATE, 26_690.0, 2e-3),))
     (force,) = high.samples(0, 200)
-    assert force.max() == high.limit == high.step * MAX_COUNT == pytest.approx(13_345.2, abs=0.1)
+    assert force.max() == high.limit == high.sensor.step * MAX_COUNT == pytest.approx(13_345.2, abs=0.1)
     assert np.count_nonzero(force == high.limit) == pytest.approx(2e-3 * RATE * 2.0 / 3.0, abs=1)
 
 

@@ -12,7 +12,6 @@ from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
 from scara_effmass.studies.runs import (
     REPETITIONS,
-    SPEED,
     FigureInputs,
     RecordedRun,
     points_by_mass,
@@ -49,7 +48,7 @@ def runs(shipped: FigureInputs) -> tuple[RecordedRun, ...]:
     for point in points_by_mass(shipped.scara, shipped.runs):
         for mass in OBSTACLES_KG:
             root = root_reduced_mass(shipped.scara, point, mass)
-            peak, duration = SPEED * root * STIFFNESS**0.5, np.pi * root / STIFFNESS**0.5
+            peak, duration = 0.25 * root * STIFFNESS**0.5, np.pi * root / STIFFNESS**0.5
             force = np.where(time < duration, peak * np.sin(np.pi * time / duration), 0.0)
             for scatter in np.linspace(0.99, 1.01, REPETITIONS).tolist():
                 run = replace(shipped.shown_run, point=point, obstacle_mass=mass, peak_force=scatter * peak)

@@ -12,15 +12,14 @@ import pytest
 from scara_effmass.bags.files import find_bags, open_bag
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.share import share
-from scara_effmass.studies.runs import AFTER_ONSET_S, BEFORE_ONSET_S, FigureInputs, read_runs
-from scara_effmass.studies.scara import Scara
+from scara_effmass.studies.runs import AFTER_ONSET_S, BEFORE_ONSET_S, FigureInputs, read_inputs
 from scara_effmass.values import JointState
 from scara_effmass.wire.message_types import RUN_INFO
 from scara_effmass.wire.run_info import decode_run_info, run_info_message
 from test.bags.messages import run_info_of
 
-JOINTS = ("joint1", "joint2")
 RUN = "300_0_500g_1"
 
 
@@ -84,19 +83,19 @@ def test_force_starts_before_the_onset(shipped: FigureInputs) -> None:
     ],
 )
 def test_recording_without_point_or_mass_raises(
-    scara: Scara, tmp_path: Path, changes: dict[str, Any], message: str
+    dynamics: RobotDynamics, tmp_path: Path, changes: dict[str, Any], message: str
 ) -> None:
     path = copy_run(tmp_path / "run", changes)
     with pytest.raises(BagError, match=message) as raised:
-        read_runs(tmp_path, scara, JOINTS)
+        read_inputs(dynamics, tmp_path)
     assert str(path) in str(raised.value)
 
 
 @pytest.mark.parametrize(("blocks", "message"), [(0, "ForceBlock"), (4, "0 impacts")])
-def test_recording_without_an_impact_raises(scara: Scara, tmp_path: Path, blocks: int, message: str) -> None:
+def test_recording_without_an_impact_raises(dynamics: RobotDynamics, tmp_path: Path, blocks: int, message: str) -> None:
     copy_run(tmp_path / "run", {}, blocks)
     with pytest.raises(BagError, match=message):
-        read_runs(tmp_path, scara, JOINTS)
+        read_inputs(dynamics, tmp_path)
 
 
 def test_joints_may_be_in_any_order(shipped: FigureInputs, tmp_path: Path) -> None:
@@ -105,7 +104,7 @@ def test_joints_may_be_in_any_order(shipped: FigureInputs, tmp_path: Path) -> No
         {},
         joints=lambda s: s._replace(names=s.names[::-1], position=s.position[::-1], velocity=s.velocity[::-1]),
     )
-    (run,) = read_runs(tmp_path, shipped.scara, JOINTS)
+    (run,) = read_inputs(shipped.dynamics, tmp_path).runs
     expected = next(run for run in shipped.runs if run.name == RUN)
     assert run.speed == expected.speed
     np.testing.assert_array_equal(run.x, expected.x)
@@ -120,9 +119,9 @@ def test_joints_may_be_in_any_order(shipped: FigureInputs, tmp_path: Path) -> No
     ],
 )
 def test_unusable_joint_states_raise_in_one_line(
-    scara: Scara, tmp_path: Path, joints: Callable[[JointState], JointState], message: str
+    dynamics: RobotDynamics, tmp_path: Path, joints: Callable[[JointState], JointState], message: str
 ) -> None:
     copy_run(tmp_path / "run", {}, joints=joints)
     with pytest.raises(BagError, match=message) as raised:
-        read_runs(tmp_path, scara, JOINTS)
+        read_inputs(dynamics, tmp_path)
     assert "\n" not in str(raised.value)
