@@ -212,7 +212,7 @@ class TorqueRegression:
         self._effort_uncertainty = effort_uncertainty
         self._limits = robot.effort_limits
         self._size = self._parameters + _OWN + 1
-        self._blocks, self._keeps_all = deque([self._empty()], blocks), blocks is None
+        self._blocks, self._keeps_all = deque([_Block(self._joints, self._size)], blocks), blocks is None
         self._past = self._nothing = _Window(self._blocks, self._size).sums(np.zeros(0))
         self._q = np.zeros(self._joints)
         self._was_resting = np.zeros(self._joints, np.bool_)
@@ -251,22 +251,23 @@ class TorqueRegression:
 
     def solve(self) -> Solution:
         """Return the estimate. If most of the newest rows stand out, the load has changed: older ones go."""
-        found = self._fit(self._past, list(self._blocks))
+        found = self._fit(self._past)
         newest = self._counted[-NEWEST_BLOCKS * ROWS_PER_BLOCK :]
         if self._keeps_all or np.mean(newest) >= MIN_NEWEST:
             return found
         while len(self._blocks) > NEWEST_BLOCKS:
             self._blocks.popleft()
-        return self._fit(self._past, list(self._blocks))
+        return self._fit(self._past)
 
-    def _fit(self, past: _Sums, blocks: Sequence[_Block]) -> Solution:
-        """Return the estimate of `past` and further `blocks`, whose rows that stand out do not count."""
-        window = _Window(blocks, self._size)
+    def _fit(self, past: _Sums) -> Solution:
+        """Return the estimate of `past` and the present blocks, whose rows that stand out do not count."""
+        window = _Window(self._blocks, self._size)
         joints, p = self._joints, self._parameters
         counted = np.ones(len(window.moving))
         sums = past.plus(window.sums(counted))
-        torques, scales = self._torques(sums.products, sums.counts)
-        known = np.sqrt(sums.products[:, -2, -2] / np.maximum(sums.counts, 1.0))
+        known, torques = (np.sqrt(sums.products[:, i, i] / np.maximum(sums.counts, 1.0)) for i in (-2, -1))
+        # The scale of a torque is its limit, or what was measured.
+        scales = np.maximum(np.where(np.isfinite(self._limits), self._limits, torques), MIN_TORQUE)
         floor = np.maximum(MIN_NOISE * np.maximum(torques, known), MIN_TORQUE) ** 2
         friction, noise, inflation = FRICTION * scales, np.maximum(torques**2, floor), np.ones(joints)
         solution, unfit = np.zeros(p + _OWN * joints), ""
@@ -325,9 +326,6 @@ class TorqueRegression:
             deviations.append(covariance[parameter, parameter])
         return str(self._robot.joint_names[int(np.argmin(deviations))])
 
-    def _empty(self) -> _Block:
-        return _Block(self._joints, self._size)
-
     def _add_rows(self, rows: FloatArray, lowest: FloatArray, highest: FloatArray) -> bool:
         """Take the mean equation (n, p + 4) of intervals, and the extremes (n,) of qd in them."""
         if len(self._blocks[-1].rows) == ROWS_PER_BLOCK:
@@ -346,15 +344,10 @@ class TorqueRegression:
 
     def _begin_block(self) -> None:
         if self._keeps_all and len(self._blocks) == BLOCKS_AT_ONCE:  # as sums: rows of an hour would take gigabytes
-            self._fit(self._nothing, list(self._blocks))
+            self._fit(self._nothing)
             self._past = self._past.plus(self._sums)
             self._blocks.clear()
-        self._blocks.append(self._empty())
-
-    def _torques(self, products: FloatArray, counts: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return root mean square and scale (n,) of the torque of each joint; its limit, or what was measured."""
-        torques = np.sqrt(products[:, -1, -1] / np.maximum(counts, 1.0))
-        return torques, np.maximum(np.where(np.isfinite(self._limits), self._limits, torques), MIN_TORQUE)
+        self._blocks.append(_Block(self._joints, self._size))
 
     def _solve(self, products: FloatArray, scales: FloatArray, uncertainty: float) -> tuple[FloatArray, FloatArray]:
         """Return mean and covariance of the parameters by `products` (n, p + 4, p + 4), already weighted."""
