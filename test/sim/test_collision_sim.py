@@ -12,7 +12,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scara_effmass.errors import RobotError, SettingsError
+from scara_effmass.errors import SettingsError
 from scara_effmass.model.load import load_robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import MonitorSettings
@@ -296,30 +296,6 @@ def test_cart_in_the_robots_place_is_refused() -> None:
         sim.place_cart()
     assert not sim.cart_placed
     assert not any(sample.force for sample in sim.advance(NO_TORQUE))
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        (None, "No such file"),
-        ("joints: [", "not YAML: line 2"),
-        ("joints: []", "links"),
-        ("joints: []\nlinks: []\ncontact_points: {}", "tool"),
-        ("joints: [{name: a, type: odd, a: 0, alpha: 0}]\nlinks: [{name: b}]", "odd"),
-        (
-            "joints: [{name: a, type: revolute, a: 0, alpha: 0}]\nlinks: [{name: b, mass: 1, inertia: [1, 2]}]",
-            "inertia of b",
-        ),
-    ],
-)
-def test_invalid_robot_file_is_refused_in_one_line(tmp_path: Path, text: str | None, message: str) -> None:
-    path = tmp_path / "robot.yaml"
-    if text is not None:
-        path.write_text(text)
-    with pytest.raises(RobotError, match=message) as caught:
-        sim_of(path)
-    assert "\n" not in str(caught.value)
-    assert str(path) in str(caught.value)
 
 
 def samples(forces: list[float]) -> list[ContactSample]:
