@@ -37,14 +37,6 @@ SEARCH_STEPS = 721
 QUILL_M = (0.0, 0.236, 0.45)
 
 
-class Basis(str, Enum):
-    """What an agreement proves; the page explains it."""
-
-    GIVEN = "given"
-    FITTED = "fitted"
-    RESULT = "result"
-
-
 class Outcome(str, Enum):
     """Result of the comparison."""
 
@@ -57,13 +49,14 @@ class Outcome(str, Enum):
 class Claim:
     """A statement `paper` at `where` in the paper, our result `ours`, and the `rule` for a match.
 
-    `value` [`unit`] is the number in `ours`, None without a finite one; `basis` is None if nothing was checked.
+    `value` [`unit`] is the number in `ours`, None without a finite one. `basis` is what an agreement proves, which the
+    page explains; None if nothing was checked.
     """
 
     key: str
     where: str
     paper: str
-    basis: Basis | None
+    basis: str | None
     ours: str
     value: float | None
     unit: str
@@ -90,8 +83,7 @@ def compared(key: str, ours: float | str | None, *, met: bool = False, **details
         else:
             rule, met = f"more than {_quantity(statement['more_than'], unit)}", ours > statement["more_than"]
         ours = _quantity(ours, unit)
-    outcome = Outcome.MATCH if met else Outcome.NO_MATCH
-    basis: Basis | None = Basis(statement["basis"])
+    outcome, basis = Outcome.MATCH if met else Outcome.NO_MATCH, statement["basis"]
     if ours is None:
         ours, unit, rule, outcome, basis = "", "", "", Outcome.NOT_CHECKED, None
     note = statement["note"].format(**statement)

@@ -470,17 +470,8 @@ def write_evidence(folder: Path, seed: int, *, overwrite: bool) -> Evidence:
         "Share of the impacts at the worst normal whose peak is above a multiple of the limit; dotted: the median."
     )
     figure = report_figure(FIGURE, "Peak force over limit.", caption, draw_evidence(evidence))
-    page = render(
-        "evidence.html",
-        evidence=evidence,
-        seed=seed,
-        figure=figure,
-        labels=LABELS,
-        drives=DRIVES,
-        places=PLACES,
-        plates=PLATES,
-        version=__version__,
-    )
+    texts: dict[str, Any] = {"labels": LABELS, "drives": DRIVES, "places": PLACES, "plates": PLATES}
+    page = render("evidence.html", evidence=evidence, seed=seed, figure=figure, **texts)
     summary = {"seed": seed} | evidence.as_dict()
     write_report_files(folder, {PAGE: page, SUMMARY: summary}, [figure], overwrite=overwrite)
     return evidence

@@ -473,6 +473,6 @@ def make_figure_set(
     claims = tuple(all_claims(inputs))
     figure_set = FigureSet(names, claims, agreement)
     advance()
-    page = render("paper.html", version=__version__, figures=figures, figure_set=figure_set)
+    page = render("paper.html", figures=figures, figure_set=figure_set)
     write_report_files(folder, {PAGE: page, CLAIMS: figure_set.as_dict()}, figures, overwrite=overwrite)
     return figure_set

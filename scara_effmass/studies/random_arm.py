@@ -13,19 +13,6 @@ MAX_SPEED = 3.0
 SERIES = 7
 """Keeps these random numbers apart from those of impacts."""
 GRAVITY = 9.81
-LINK = """  <link name="link{i}"><inertial>
-    <origin xyz="{com}"/><mass value="{mass:.6f}"/>
-    <inertia ixx="{ixx:.6f}" iyy="{iyy:.6f}" izz="{izz:.6f}" ixy="0" ixz="0" iyz="0"/>
-  </inertial><collision><origin xyz="{com}"/><geometry><box size="{size}"/></geometry></collision></link>
-"""
-JOINT = """  <joint name="joint{i}" type="revolute">
-    <parent link="{parent}"/><child link="link{i}"/><origin xyz="{place}"/><axis xyz="{axis}"/>
-    <limit lower="-2.9" upper="2.9" velocity="{speed}" effort="{effort:.3f}"/><dynamics armature="{armature:.4f}"/>
-  </joint>
-"""
-TIP = """  <link name="tip"/>
-  <joint name="tip_joint" type="fixed"><parent link="link{i}"/><child link="tip"/><origin xyz="{place}"/></joint>
-"""
 
 
 def random_arm(seed: int) -> str:
@@ -48,19 +35,25 @@ def random_arm(seed: int) -> str:
         size = np.abs(span) + thickness
         squares = np.square(size)
         ixx, iyy, izz = (masses[i] / 12.0 * (squares.sum() - squares)).tolist()
-        text += LINK.format(i=i + 1, com=_xyz(0.5 * span), mass=masses[i], ixx=ixx, iyy=iyy, izz=izz, size=_xyz(size))
+        link, com = f"link{i + 1}", _xyz(0.5 * span)
         effort = GRAVITY * float(masses[i:].sum() * lengths[i + 1 :].sum())
-        text += JOINT.format(
-            i=i + 1,
-            parent=parent,
-            place=_xyz(spans[i]),
-            axis=_xyz(np.eye(3)[axis]),
-            speed=MAX_SPEED,
-            effort=effort,
-            armature=rng.uniform(0.0, 0.1),
-        )
-        axis, parent = (axis + int(rng.integers(1, 3))) % 3, f"link{i + 1}"
-    return text + TIP.format(i=axes, place=_xyz(spans[-1])) + "</robot>\n"
+        text += f"""  <link name="{link}"><inertial>
+    <origin xyz="{com}"/><mass value="{masses[i]:.6f}"/>
+    <inertia ixx="{ixx:.6f}" iyy="{iyy:.6f}" izz="{izz:.6f}" ixy="0" ixz="0" iyz="0"/>
+  </inertial><collision><origin xyz="{com}"/><geometry><box size="{_xyz(size)}"/></geometry></collision></link>
+  <joint name="joint{i + 1}" type="revolute">
+    <parent link="{parent}"/><child link="{link}"/><origin xyz="{_xyz(spans[i])}"/><axis xyz="{_xyz(np.eye(3)[axis])}"/>
+    <limit lower="-2.9" upper="2.9" velocity="{MAX_SPEED}" effort="{effort:.3f}"/>
+    <dynamics armature="{rng.uniform(0.0, 0.1):.4f}"/>
+  </joint>
+"""
+        axis, parent = (axis + int(rng.integers(1, 3))) % 3, link
+    return f"""{text}  <link name="tip"/>
+  <joint name="tip_joint" type="fixed">
+    <parent link="{parent}"/><child link="tip"/><origin xyz="{_xyz(spans[-1])}"/>
+  </joint>
+</robot>
+"""
 
 
 def _xyz(vector: FloatArray) -> str:
