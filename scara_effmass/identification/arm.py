@@ -27,6 +27,7 @@ from scara_effmass.identification.regression import (
     LEVER,
     Solution,
     TorqueRegression,
+    frame_jacobian,
     link_parameters,
     rest_speeds,
     torque_regressor,
@@ -288,7 +289,7 @@ def effective_mass(
     The gradients (k, 10 n) are by the parameters of the links: d m_n / d pi = m_n^2 w^T (Y(q, 0, w) - Y(q, 0, 0)) with
     w = M^-1 J^T n and M w = (Y(q, 0, w) - Y(q, 0, 0)) pi, rotors aside.
     """
-    jacobian = _jacobian(robot, q, frame)
+    jacobian = frame_jacobian(model, data, q, frame)
     w = np.linalg.solve(robot.mass_matrix(model, data, q), jacobian.T @ normals.T).T
     masses = 1.0 / np.einsum("ki,ki->k", w @ jacobian.T, normals)
     rest = np.zeros(model.nv)
@@ -305,7 +306,7 @@ def effective_masses(estimate: ArmEstimate, samples: int) -> EffectiveMasses:
     data, changed_data = model.createData(), changed.createData()
     kinds, rows, frame = list[str](), [], next(iter(robot.contact_frames.values()))
     for q in robot.sample_configurations(samples):
-        jacobian = _jacobian(robot, q, frame)
+        jacobian = frame_jacobian(model, data, q, frame)
         mobility = jacobian @ np.linalg.solve(robot.mass_matrix(model, data, q), jacobian.T)
         values, vectors = np.linalg.eigh(mobility)
         worst = vectors[:, int(np.argmax(values > MIN_MOBILITY * values[-1]))]
@@ -318,13 +319,6 @@ def effective_masses(estimate: ArmEstimate, samples: int) -> EffectiveMasses:
         found, gradients = effective_mass(robot, changed, changed_data, q, normals, frame)
         rows.append(np.column_stack((stated, found, np.linalg.norm(gradients @ estimate.root, axis=1))))
     return EffectiveMasses(tuple(kinds), *np.vstack(rows).T)
-
-
-def _jacobian(robot: Robot, q: FloatArray, frame: int) -> FloatArray:
-    """Return the Jacobian (3, n) of a frame."""
-    data = robot.model.createData()
-    jacobian = pin.computeFrameJacobian(robot.model, data, q, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
-    return np.reshape(jacobian, (6, robot.model.nv))[:3]
 
 
 def _parameters(matrix: FloatArray) -> FloatArray:

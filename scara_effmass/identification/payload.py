@@ -14,7 +14,14 @@ import pinocchio as pin
 from scipy.linalg import block_diag
 from scipy.special import ndtr, ndtri
 
-from scara_effmass.identification.regression import LEVER, MIN_SIGNIFICANCE, Z_95, TorqueRegression, link_parameters
+from scara_effmass.identification.regression import (
+    LEVER,
+    MIN_SIGNIFICANCE,
+    Z_95,
+    TorqueRegression,
+    frame_jacobian,
+    link_parameters,
+)
 from scara_effmass.model.robot import Robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.reference.mobility import worst_mass
@@ -139,7 +146,7 @@ def mass_gain(robot: Robot, load: float, moment: FloatArray) -> float:
     for q in robot.sample_configurations():
         inverses = [np.linalg.inv(robot.mass_matrix(model, data, q)) for model, data in models]
         for contact in contacts:
-            jacobian = pin.computeFrameJacobian(*models[0], q, contact.frame, pin.LOCAL_WORLD_ALIGNED)[:3]
+            jacobian = frame_jacobian(*models[0], q, contact.frame)
             without, loaded = (worst_mass(jacobian @ inverse @ jacobian.T, contact.rank) for inverse in inverses)
             if without < MAX_MASS:
                 gain = max(gain, loaded / without)

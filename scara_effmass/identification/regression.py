@@ -82,6 +82,12 @@ def torque_regressor(model: pin.Model, data: pin.Data, q: FloatArray, qd: FloatA
     return np.reshape(y, (model.nv, -1))  # Pinocchio returns (10,) for one joint
 
 
+def frame_jacobian(model: pin.Model, data: pin.Data, q: FloatArray, frame: int) -> FloatArray:
+    """Return the Jacobian (3, n) of the position of a frame at `q` (n,)."""
+    jacobian = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)
+    return np.reshape(jacobian, (6, model.nv))[:3]  # Pinocchio returns (6,) for one joint
+
+
 def rest_speeds(robot: Robot) -> FloatArray:
     """Return the speeds (n,) [rad/s, m/s] below which the joints of `robot` may rest."""
     return REST_SPEED * np.where(robot.revolute, 1.0, METRES_PER_RADIAN)

@@ -156,6 +156,9 @@ def test_robot_of_one_joint() -> None:
     *_, last = estimates(robot, harmonic(robot, pin.Inertia(1.0, np.array([0.4, 0.0, 0.0]), np.zeros((3, 3))), [1.0]))
     assert abs(last.moment[0] - 0.4) < 3.0 * last.moment_deviations[0]
     assert identify_arm(robot, Intervals(robot.periods, 0.1).add(*harmonic(robot, pin.Inertia.Zero(), [1.0]))[1], 0.03)
+    # The point at the end of the lever of 0.4 m moves across it only.
+    own = pin.crba(model, model.createData(), np.zeros(1)).item()
+    assert mass_gain(robot, 1.0, np.array([0.4, 0.0, 0.0])) == pytest.approx(1.0 + 0.4**2 / own)
 
 
 @given(st.floats(-4.0, 20.0), st.floats(1e-3, 10.0))
