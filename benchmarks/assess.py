@@ -12,8 +12,8 @@ from itertools import chain
 from pathlib import Path
 
 import numpy as np
-from rosbags.highlevel import AnyReader
 
+from bags import read_with_rosbags
 from scara_effmass import cli
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.model.load import load_robot
@@ -49,7 +49,7 @@ def measure(robot: str, points: tuple[str, ...]) -> tuple[float, float]:
             writer.write_joint_states(TOPIC, _motion(path))
         for _ in range(ROUNDS):
             ours.append(COUNT / _assess(bag, options))
-            theirs.append(COUNT / _decode(bag))
+            theirs.append(COUNT / read_with_rosbags(bag, COUNT))
     return float(np.median(ours)), float(np.median(theirs))
 
 
@@ -76,17 +76,4 @@ def _assess(bag: Path, options: list[str]) -> float:
     duration_s = time.perf_counter() - started
     if code != 0:
         raise RuntimeError(f"assess ended with {code}")
-    return duration_s
-
-
-def _decode(bag: Path) -> float:
-    started = time.perf_counter()
-    with AnyReader([bag]) as reader:
-        decoded = sum(
-            len(reader.deserialize(data, connection.msgtype).position) > 0
-            for connection, _, data in reader.messages(reader.connections)
-        )
-    duration_s = time.perf_counter() - started
-    if decoded != COUNT:
-        raise RuntimeError(f"rosbags decoded {decoded} of {COUNT} joint states")
     return duration_s
