@@ -40,6 +40,7 @@ from scara_effmass.studies.campaign import Campaign
 from scara_effmass.values import Decision, ForceBlock, Mobility6
 
 SCARA = share("config", "omron_i4_550l.yaml")
+SETTINGS = MonitorSettings(contact_points=("tool",))
 AFTER_NS = 150_000_000
 TURN = math.radians(30.0)
 MODELS = ("lumped", "full")
@@ -107,13 +108,12 @@ Outcomes = dict[tuple[str, str], str]
 def dynamics(*, tool: bool) -> RobotDynamics:
     """Return the shipped robot at its tool, or the same without its payload."""
     document = yaml.safe_load(SCARA.read_text(encoding="utf-8"))
-    document["contact_points"] = {"tool": document["contact_points"]["tool"]}
     if not tool:
         document["payload"]["mass"] -= 0.25
     with TemporaryDirectory() as folder:
         path = Path(folder) / "robot.yaml"
         path.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
-        return RobotDynamics(load_robot(path, MonitorSettings()))
+        return RobotDynamics(load_robot(path, SETTINGS))
 
 
 def simulate(seed: int, nuisance: Nuisance, *, turned: bool) -> list[ImpactRun]:
@@ -130,7 +130,7 @@ def simulate(seed: int, nuisance: Nuisance, *, turned: bool) -> list[ImpactRun]:
 
 def assess(run: ImpactRun, *, tool: bool) -> list[Decision]:
     """Return the decisions of a run until shortly after the impact."""
-    monitor = Monitor(dynamics(tool=tool), MonitorSettings())
+    monitor = Monitor(dynamics(tool=tool), SETTINGS)
     end_ns = run.impact.onset_ns + AFTER_NS
     states = (state for state in run.joint_states if state.stamp_ns <= end_ns)
     decisions = [monitor.assess(state, state.stamp_ns) for state in states]
