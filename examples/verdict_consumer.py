@@ -39,10 +39,12 @@ class VerdictConsumer(Node):
         super().__init__("verdict_consumer")
         self._max_age = Duration(seconds=timeout_s if max_age_s is None else max_age_s)
         self._on_change = on_change
-        self._monitors = 0
+        self._monitors = self._number = 0
+        self._alone_from = 0.0
         self._limit: tuple[float, str] | None = None
         # The monitor offers twice its timeout. A shorter request does not match, and then nothing arrives.
-        deadline = Duration(seconds=2.0 * timeout_s)
+        self._deadline_s = 2.0 * timeout_s
+        deadline = Duration(seconds=self._deadline_s)
         qos = QoSProfile(
             depth=10,
             deadline=deadline,
@@ -57,13 +59,16 @@ class VerdictConsumer(Node):
         self._change(0.0, "no contact states yet")
 
     def _on_contact_states(self, states: ContactStates) -> None:
-        if self._monitors > 1:
-            return
+        if self._monitors > 1 or states.sequence_number <= self._number:
+            self._alone_from = time.monotonic() + self._deadline_s
+        self._number = states.sequence_number
         age = self.get_clock().now() - Time.from_msg(states.header.stamp, clock_type=self.get_clock().clock_type)
         is_permissive = states.verdict in {ContactState.OK, ContactState.WARN} and states.allowable_speed > 0.0
-        if not is_permissive:
+        if time.monotonic() < self._alone_from:
+            self._change(0.0, "a second monitor, or a new one")
+        elif not is_permissive:
             self._change(0.0, states.reason or "no speed is allowed")
-        elif age > self._max_age:  # a queue or a network delayed it
+        elif abs(age.nanoseconds) > self._max_age.nanoseconds:  # a queue or a network delayed it, or the clocks differ
             self._change(0.0, f"the joint state is {age.nanoseconds / 1e9:.3f} s old")
         else:
             self._change(states.allowable_speed, "")

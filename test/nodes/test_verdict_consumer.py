@@ -8,6 +8,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
+from itertools import count
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -129,6 +130,7 @@ def example(own_domain: int) -> Iterator[Example]:
 
 def test_consumer_moves_only_while_the_last_message_allows_it(example: Example) -> None:
     consumer, changes, publisher, executor = example
+    numbers = count(1)
 
     def spin_until(change: tuple[float, str], verdict: int | None = None, speed: float = 0.0) -> set[float]:
         """Publish until the consumer announces `change`; return all announced speeds."""
@@ -138,6 +140,7 @@ def test_consumer_moves_only_while_the_last_message_allows_it(example: Example) 
             assert time.monotonic() < end, changes
             if verdict is not None:
                 message = ContactStates(verdict=verdict, allowable_speed=speed, reason="why")
+                message.sequence_number = next(numbers)
                 message.header.stamp = consumer.get_clock().now().to_msg()
                 publisher.publish(message)
             executor.spin_once(timeout_sec=0.05)
@@ -158,4 +161,9 @@ def test_consumer_moves_only_while_the_last_message_allows_it(example: Example) 
     second = consumer.create_publisher(ContactStates, "contact_states", qos_profile(topics.verdict_qos(TIMEOUT)))
     spin_until((0.0, "two monitors"), ContactState.OK, 0.3)
     consumer.destroy_publisher(second)
-    spin_until((0.3, ""), ContactState.OK, 0.3)
+    for _ in range(2):
+        # One that is left alone, and one that counts anew, must have published alone for a while.
+        alone_from = time.monotonic()
+        spin_until((0.3, ""), ContactState.OK, 0.3)
+        assert time.monotonic() - alone_from >= 1.9 * TIMEOUT
+        numbers = count(1)
