@@ -49,7 +49,7 @@ from scara_effmass.values import NO_VALUES, Decision, FloatArray, JointState, Pa
 CHECK_INTERVAL = 2000
 """Number of joint states of which one is compared with the reference, at one contact; the contacts take turns."""
 TRIALS = 24
-"""Number of joint states at which kernel and reference are compared when the kernel is compiled."""
+"""Number of joint states at which kernel and reference are compared, at one contact each, when it is compiled."""
 CLOCK_STEPS = 10
 """Number of steps of a simulated clock that are remembered."""
 DEFAULT_MAX_SPEED = (60.0, 10.0)
@@ -149,16 +149,20 @@ class Monitor:
         robot, trial = self.dynamics.robot, self._new_pending(TRIALS)
         trial.records["stamp_ns"] = trial.records["now_ns"] = np.arange(1, TRIALS + 1)
         trial.motions[:, 0] = q = robot.sample_configurations(TRIALS)
-        # Some at rest, fast ones, and each joint in both directions.
+        # Each contact takes its turn slowly, fast and at rest, and each joint in both directions.
         qd = np.cos(np.outer(np.arange(TRIALS) % 7, np.arange(1.0, q.shape[1] + 1.0)))
-        trial.motions[:, 1] = qd * (np.arange(TRIALS) % 3)[:, None]
+        rounds, turns = np.divmod(np.arange(TRIALS), len(self._points))
+        trial.motions[:, 1] = qd * ((rounds + 1) % 3)[:, None]
         rules, memory, joints, debounces = (array.copy() for array in self._memory_bytes)
         try:
             OtherJoints({}).compile()
             admit(trial.states, trial.motions, rules, memory, joints)
             trial.records["is_admitted"] = 1
             self.compute(trial)
-            fields = map(self._reference.difference, trial.motions, trial.numbers, trial.records["age"].tolist())
+            chosen = [slice(turn, turn + 1) for turn in turns.tolist()]
+            fields = map(
+                self._reference.difference, trial.motions, trial.numbers, trial.records["age"].tolist(), chosen
+            )
             field = next(filter(None, fields), "")
             settle(trial.states, trial.numbers, trial.unknown, rules, memory, debounces)
         except Exception as error:

@@ -2,6 +2,7 @@
 """The speed scaling factor: bounds, fall, rise, and convergence of the closed loop without oscillation."""
 
 import math
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -167,7 +168,8 @@ def test_state_of_another_time_stops(age_ns: int, reason: str) -> None:
 @pytest.mark.parametrize("field", ["allowable_speed", "speed_scaling"])
 def test_message_that_allows_nothing_stops(field: str) -> None:
     scaler, now_ns = released()
-    scaler.take(state(0.1, 1.0)._replace(**{field: 0.0}), now_ns)
+    nothing: dict[str, Any] = {field: 0.0}
+    scaler.take(state(0.1, 1.0)._replace(**nothing), now_ns)
     assert scaler.factor(now_ns) == 0.0
     assert scaler.reason == "no speed is allowed"
 
