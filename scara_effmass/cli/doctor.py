@@ -89,8 +89,8 @@ def _check_picture(path: Path, *, overwrite: bool) -> None:
 
 def _draw_hulls(dynamics: RobotDynamics, path: Path, *, overwrite: bool) -> CheckResult:
     """Draw the links that are watched as a whole. Raises SettingsError without any, and OutputError."""
-    from scara_effmass.analysis.hull_figure import draw_hulls  # noqa: PLC0415 - matplotlib, an extra
     from scara_effmass.analysis.report import report_figure  # noqa: PLC0415 - as above
+    from scara_effmass.analysis.robot_figures import draw_hulls  # noqa: PLC0415 - matplotlib, an extra
 
     if not dynamics.robot.hulls:
         raise SettingsError("--hulls: no link is watched as a whole; use --contact-point whole_arm")

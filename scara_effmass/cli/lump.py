@@ -22,7 +22,7 @@ def run(args: argparse.Namespace) -> int:
     settings = override(settings, {"lumping": {**settings.lumping.model_dump(), **chosen}})
     if args.output:
         from scara_effmass.analysis import report  # noqa: PLC0415 - matplotlib too
-        from scara_effmass.analysis.lumped_model import draw_masses  # noqa: PLC0415 - matplotlib, an extra
+        from scara_effmass.analysis.robot_figures import draw_masses  # noqa: PLC0415 - matplotlib, an extra
 
         check_output_files(args.output, [*report.figure_files([NAME]), RESULT], overwrite=args.force)
     dynamics = load_dynamics(settings)

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from scara_effmass.analysis.lumped_model import REGIONS, compare_models, draw_masses
+from scara_effmass.analysis.lumped_model import REGIONS, compare_models
+from scara_effmass.analysis.robot_figures import draw_masses
 from scara_effmass.cli import main
 from scara_effmass.iso15066 import BODY_REGIONS
 from scara_effmass.model.load import load_robot

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures of a robot at its zero pose: the polytopes that `whole_arm` watches, and the lumped masses."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
+from mpl_toolkits.mplot3d import Axes3D  # type: ignore[import-untyped]
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
+
+from scara_effmass.analysis.report import CYCLE, INK, STYLE, distinct_colors, new_figure
+from scara_effmass.model.hulls import triangles
+from scara_effmass.model.lumping import LumpedModel
+from scara_effmass.model.robot import Robot
+from scara_effmass.values import FloatArray
+
+BALL_PT = 9.0
+"""Diameter of the ball of a mass of 1 kg; its volume is in proportion to the mass."""
+MIN_EXTENT = 0.4
+"""Smallest extent of the axes, as a share of the largest."""
+TICKS = 20
+"""Approximate number of ticks over twice the size of the robot; all axes have the same."""
+
+
+def draw_hulls(robot: Robot) -> Figure:
+    """Return the picture of the hulls, the joints and the named contact points.
+
+    A contact has the same colour in the maps of the workspace.
+    """
+    poses = _zero_poses(robot)
+    parts = [poses[:, :3, 3]]
+    with mpl.rc_context(STYLE):
+        figure = new_figure(9.5, 7.5, f"Hulls of {robot.name}: what whole_arm watches")
+        axes = figure.add_subplot(projection="3d")
+        shown: list[Artist] = axes.plot(*parts[0].T, "o-", color=INK, linewidth=1.0, markersize=3.0, label="joints")
+        colors = distinct_colors(len(robot.contact_frames))
+        for (name, index), color in zip(robot.contact_frames.items(), colors, strict=True):
+            frame = robot.model.frames[index]
+            if name in robot.hulls:
+                faces = _placed(poses, frame.parentJoint, triangles(robot.hulls[name]))
+                style: dict[str, Any] = {"facecolor": color, "edgecolor": INK, "linewidth": 0.3, "alpha": 0.35}
+                axes.add_collection(Poly3DCollection(faces, **style))
+                shown.append(Patch(label=name, **style))
+                parts.append(faces.reshape(-1, 3))
+            else:
+                parts.append(_placed(poses, frame.parentJoint, frame.placement.translation[None]))
+                shown += axes.plot(*parts[-1].T, "D", color=color, markeredgecolor=INK, label=name)
+        _set_equal_axes(axes, np.concatenate(parts))
+        axes.legend(handles=shown, loc="center left", bbox_to_anchor=(1.12, 0.5))
+    return figure
+
+
+def draw_masses(robot: Robot, lumped: LumpedModel) -> Figure:
+    """Return the picture of the masses on the robot, as in Figs. 1 and 3 of the paper."""
+    poses = _zero_poses(robot)
+    masses = [(mass.mass, _placed(poses, mass.joint, np.array(mass.point))) for mass in lumped.masses]
+    origins = np.vstack([np.zeros(3), poses[:, :3, 3], _placed(poses, len(poses), robot.tip.translation)])
+    everything = np.vstack([origins, *(at for _, at in masses)])
+    reach = float(np.ptp(everything, axis=0).max()) / 8.0
+    with mpl.rc_context(STYLE):
+        figure = new_figure(8.0, 7.5, f"Lumped masses of {robot.name}")
+        axes = figure.add_subplot(projection="3d")
+        axes.plot(*origins.T, color=CYCLE[0], linewidth=4.0, alpha=0.5, label="joint origins, base to tip")
+        for joint in range(1, robot.model.njoints):
+            ends = _placed(poses, joint, np.outer((-reach, reach), robot.axis_in_joint_frame(joint)))
+            axes.plot(*ends.T, color=CYCLE[1], linestyle="--", linewidth=1.2, label="" if joint > 1 else "joint axes")
+        labels: dict[tuple[float, ...], str] = {}  # by place: masses on the quill of a SCARA coincide
+        for number, (mass, at) in enumerate(masses, start=1):
+            key = tuple(np.round(at, 3).tolist())
+            labels[key] = f"{labels.get(key, '')}   m_l{number} = {mass:.3g} kg"
+            color = INK if mass > 0.0 else CYCLE[3]
+            axes.plot(*at[:, None], "o", color=color, markersize=BALL_PT * abs(mass) ** (1.0 / 3.0), alpha=0.8)
+        for key, label in labels.items():
+            axes.text(*key, label.replace("kg   ", "kg\n   "), fontsize=8.5, va="center")
+        _set_equal_axes(axes, everything)
+        axes.legend(loc="upper right")
+    return figure
+
+
+def _zero_poses(robot: Robot) -> FloatArray:
+    """Return the poses (n, 4, 4) of the joints at zero, or at the limit nearest to it."""
+    model = robot.model
+    return robot.joint_poses(np.clip(np.zeros(model.nv), model.lowerPositionLimit, model.upperPositionLimit))
+
+
+def _placed(poses: FloatArray, joint: int, points: FloatArray) -> FloatArray:
+    """Return `points` (..., 3) in the frame of joint number `joint`, from 1 on, in the base."""
+    return np.asarray(points @ poses[joint - 1, :3, :3].T + poses[joint - 1, :3, 3])
+
+
+def _set_equal_axes(axes: Axes3D, points: FloatArray) -> None:
+    """Show the box around `points` (N, 3) [m] on axes of equal scales and equal ticks."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    size = float((high - low).max())
+    ticks = MaxNLocator(TICKS, steps=[1, 2, 5, 10]).tick_values(-size, size)
+    extent = np.maximum(high - low, MIN_EXTENT * size)
+    for axis, centre, half in zip("xyz", (low + high) / 2.0, extent / 2.0, strict=True):
+        axes.set(
+            **{f"{axis}lim": (centre - half, centre + half), f"{axis}ticks": ticks[np.abs(ticks - centre) <= half]}
+        )
+        getattr(axes, f"set_{axis}label")(f"{axis} [m]", labelpad=10.0)
+    axes.set(box_aspect=extent)
