@@ -12,11 +12,11 @@ import re
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
-from pydantic import TypeAdapter
+from pydantic import Field, InstanceOf, TypeAdapter
 
 from scara_effmass import __version__
 from scara_effmass.analysis.assessment import (
@@ -64,21 +64,24 @@ class BagTask:
     cross_check: bool = False
 
 
+class Drawable(NamedTuple):
+    """What a report draws of one recording: series by contact point, force, and whether its motion is generated."""
+
+    series: Mapping[str, TimeSeries]
+    force: RecordedForce | None
+    generated: bool
+
+
 @dataclass(slots=True)
 class BagResult:
-    """Result of one recording; can be pickled. `series` by contact point and `force` are for the report.
-
-    `unmodelled` are joints that moved, but are not in the model.
-    """
+    """Result of one recording; can be pickled. `unmodelled` are joints that moved, but are not in the model."""
 
     summary: Summary
     counts: dict[str, int]
     losses: tuple[str, ...]
     notes: list[tuple[str, str]]
-    generated: bool = False
-    force: RecordedForce | None = None
-    series: Mapping[str, TimeSeries] = field(default_factory=dict)
-    unmodelled: tuple[str, ...] = ()
+    unmodelled: tuple[str, ...]
+    drawable: Annotated[InstanceOf[Drawable] | None, Field(exclude=True)] = None
 
 
 def assess_bag(
@@ -125,14 +128,12 @@ def assess_bag(
         notes += other_topic_lines(bag, topic, monitor)
         if monitor.unmatched:
             notes.append(("ignored joints", f"no joint state names {', '.join(monitor.unmatched)}"))
-        result = BagResult(summary, counts, (), notes)
-        result.unmodelled = monitor.unmodelled_joints
+        drawable = None
         if task.report:
             builds = (builder.build() for builder in series)
-            result.series = dict(zip(dynamics.contact_points, builds, strict=True))
-            result.force, result.generated = read_force(bag), bool(generated_description(bag))
-        result.losses = bag.losses
-    return result
+            named = dict(zip(dynamics.contact_points, builds, strict=True))
+            drawable = Drawable(named, read_force(bag), bool(generated_description(bag)))
+        return BagResult(summary, counts, bag.losses, notes, monitor.unmodelled_joints, drawable)
 
 
 class Record(NamedTuple):
@@ -143,12 +144,8 @@ class Record(NamedTuple):
 
     key: str
     part: str
-    summary: Summary
-    counts: dict[str, int]
-    losses: tuple[str, ...]
-    notes: list[tuple[str, str]]
     part_hash: str
-    unmodelled: tuple[str, ...] = ()
+    result: BagResult
 
 
 _RECORD = TypeAdapter(Record, config={"ser_json_inf_nan": "constants"})
@@ -198,8 +195,7 @@ def assess_part(
             is_as_written = _hash_of(earlier) == record.part_hash
             if is_as_written and not task.cross_check:
                 advance(1, 1)
-                known = record.summary, record.counts, record.losses, record.notes
-                return BagResult(*known, unmodelled=record.unmodelled)
+                return record.result
             if not is_as_written:
                 notes.append(("assessed again", f"{earlier}: was damaged or changed since it was written"))
     with open_bag(path) as bag:
@@ -208,10 +204,8 @@ def assess_part(
     origin = provenance(task.settings, dynamics.robot.origin, [path])
     with open_writer(folder / part, origin, dynamics.robot.base_frame, overwrite=True) as table:
         result = assess_bag(path, task, dynamics, table, advance)
-    known = result.summary, result.counts, result.losses, result.notes
-    record = Record(key, part, *known, _hash_of(folder / part), result.unmodelled)
     with atomic_file(file, overwrite=True) as unfinished:
-        unfinished.write_bytes(_RECORD.dump_json(record))
+        unfinished.write_bytes(_RECORD.dump_json(Record(key, part, _hash_of(folder / part), result)))
     result.notes = [*result.notes, *notes]
     return result
 
@@ -248,11 +242,12 @@ def _check_record(record: Record, file: Path, folder: Path) -> None:
         raise ValueError(record.part)
     if not isinstance(folder, Url) and not (folder / record.part).resolve().is_relative_to(folder.resolve()):
         raise ValueError(record.part)
-    numbers = record.summary.numbers
-    if record.counts.keys() != _COUNTS or any(len(numbers[text]) != text.count("…") for text in record.summary.reasons):
+    kept = record.result.summary
+    is_complete = all(len(kept.numbers[text]) == text.count("…") for text in kept.reasons)
+    if record.result.counts.keys() != _COUNTS or not is_complete:
         raise ValueError(record)
-    summary = Summary(record.summary.timeout_ns)
-    summary.merge(record.summary)
+    summary = Summary(kept.timeout_ns)
+    summary.merge(kept)
     json.dumps(summary.as_dict(), allow_nan=False)
     list(summary.lines())
 

@@ -95,10 +95,10 @@ def assess(
             losses += result.losses
             unmodelled += [joint for joint in result.unmodelled if joint not in unmodelled]
             input_notes += [note for note in result.notes if note not in input_notes]
-            if report:
-                for point, series in result.series.items():
-                    title = f"{robot.name}: {name or path.name}"
-                    report.add(series, point, title, generated=result.generated, forces=result.force)
+            if report and result.drawable:
+                drawable, title = result.drawable, f"{robot.name}: {name or path.name}"
+                for point, series in drawable.series.items():
+                    report.add(series, point, title, generated=drawable.generated, forces=drawable.force)
         notes, results = supplement(counts)
         lines = [*notes, *_lines(counts, input_notes, summary, robot, settings, losses, unreadable, unmodelled)]
         printed = {"output": str(args.output), **results, **counts, **summary.as_dict()}

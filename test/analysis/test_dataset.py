@@ -90,7 +90,9 @@ def record(folder: Path) -> Path:
 
 def change_record(folder: Path, **changes: Any) -> None:  # noqa: ANN401 - any JSON
     file = record(folder)
-    fields = dict(zip(Record._fields, json.loads(file.read_bytes()), strict=True)) | changes
+    fields = dict(zip(Record._fields, json.loads(file.read_bytes()), strict=True))
+    fields |= {name: value for name, value in changes.items() if name in fields}
+    fields["result"] |= {name: value for name, value in changes.items() if name not in fields}
     file.write_text(json.dumps([*fields.values()]))
 
 
