@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Contacts in recordings of a force, without joint states: peaks, what stayed, and what is left out."""
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from scara_effmass.analysis.forces import Measurement, file_measurements, lost_before
+from scara_effmass.analysis.forces import file_measurements, lost_before
 from scara_effmass.bags.batches import LossLog
 from scara_effmass.errors import BagError
 from scara_effmass.impacts.detector import Detector
@@ -36,7 +36,7 @@ class RecordedContacts:
     contacts: tuple[Impact, ...]
     left_out: tuple[LeftOut, ...]
     losses: tuple[str, ...]
-    doubts: tuple[str, ...]
+    doubts: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Return everything as JSON types, in SI units, with times since the beginning of the recording."""
@@ -118,7 +118,7 @@ def recorded_contacts(path: Path, settings: ImportSettings, detection: Detection
     sources: set[str] = set()
     simulated = False
     before: ForceBlock | None = None
-    for value in _values(file_measurements(path, settings, losses)):
+    for _, value in file_measurements(path, settings, losses):
         start_ns = value.stamp_ns if start_ns is None else min(start_ns, value.stamp_ns)
         sources.add(value.source)
         simulated |= value.simulated
@@ -132,8 +132,7 @@ def recorded_contacts(path: Path, settings: ImportSettings, detection: Detection
     contacts += detector.finish()
     if start_ns is None:
         raise BagError("; ".join([f"{path}: must hold a force that can be read", *losses]))
-    left_out = tuple(detector.left_out)
-    return RecordedContacts(
+    recorded = RecordedContacts(
         path=path,
         source=", ".join(sorted(sources)),
         simulated=simulated,
@@ -141,31 +140,22 @@ def recorded_contacts(path: Path, settings: ImportSettings, detection: Detection
         samples=samples,
         lost_samples=lost,
         contacts=tuple(contacts),
-        left_out=left_out,
+        left_out=tuple(detector.left_out),
         losses=tuple(losses),
-        doubts=tuple(_doubts(contacts, left_out, samples, detector, settings)),
     )
+    doubts = _doubts(recorded, settings, is_settled=detector.settled)
+    return replace(recorded, doubts=tuple(doubts))
 
 
-def _values(measured: Iterable[Measurement]) -> Iterator[ForceBlock | Impact]:
-    return (measurement.value for measurement in measured)
-
-
-def _doubts(
-    contacts: Iterable[Impact],
-    left_out: Iterable[LeftOut],
-    samples: int,
-    detector: Detector,
-    settings: ImportSettings,
-) -> Iterator[str]:
+def _doubts(recorded: RecordedContacts, settings: ImportSettings, *, is_settled: bool) -> Iterator[str]:
     """Yield what makes the list of contacts doubtful."""
-    if not samples:
+    if not recorded.samples:
         yield NO_BLOCKS
-    elif not detector.settled:
+    elif not is_settled:
         yield "no steady baseline at the end: contacts there are not known"
-    largest = max((contact.peak_force for contact in contacts), default=0.0)
-    has_sign = settings.axis != "norm"
-    if has_sign and any(item.reason == TENSION and item.peak_force > largest for item in left_out):
+    largest = max((contact.peak_force for contact in recorded.contacts), default=0.0)
+    tension = max((item.peak_force for item in recorded.left_out if item.reason == TENSION), default=0.0)
+    if settings.axis != "norm" and tension > largest:  # a norm has no sign
         sign = "the force goes further below the baseline than above it, but compression is positive"
         option = "without --invert" if settings.sensor.invert else "with --invert"
         yield f"{sign}; read files and wrenches {option}, and import force blocks again so"

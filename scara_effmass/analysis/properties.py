@@ -223,16 +223,8 @@ class _Topic:
         self._last_ns = _NEVER_NS
         self._has_ended = False
 
-    def add(self, block: Columns) -> None:
-        """Take the next verdicts."""
-        verdicts = _verdicts(block, 0)
-        self._pass(verdicts.log_ns, verdicts.ended)
-
-    def finish(self, end_ns: int) -> None:
-        """Take the end of the recording."""
-        self._pass(np.array([end_ns]), np.array([True]))
-
-    def _pass(self, log_ns: IntArray, ended: BoolArray) -> None:
+    def add(self, log_ns: IntArray, ended: BoolArray) -> None:
+        """Take the times of the next verdicts, and whether the monitor ends with each of them."""
         due_ns = np.concatenate(([min(self._last_ns, int(log_ns[0]))], log_ns[:-1])) + self._deadline_ns
         is_active = ~np.concatenate(([self._has_ended], ended[:-1]))
         self.violations.add(is_active & (log_ns > due_ns), due_ns)
@@ -271,14 +263,15 @@ def _check(
             columns = {name: np.asarray(block[name], dtype=object)[is_point] for name in _COLUMNS}
             traces[f"{source}: {point}"].add(columns)
         if end_ns:  # by topic: the names of the contact points change when the monitor gets its robot
-            topics[source].add(block)
+            every = _verdicts(block, 0)
+            topics[source].add(every.log_ns, every.ended)
     results, count = [], sum(trace.count for trace in traces.values())
     found = {text: {place: trace.violations[text] for place, trace in traces.items()} for text in (*EACH, *HELD)}
     if settings.release_time * _NS <= _SLACK_NS:
         found = {text: found[text] for text in EACH}
     if end_ns:
         for topic in topics.values():
-            topic.finish(end_ns)
+            topic.add(np.array([end_ns]), np.array([True]))
         found[DEADLINE] = {place: topic.violations for place, topic in topics.items()}
     for text, violations in found.items():
         total, first = sum(own.count for own in violations.values()), ""

@@ -25,6 +25,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from scara_effmass.analysis.report import ISO_RED, STYLE, distinct_colors, new_figure
+from scara_effmass.analysis.summary import mass_model_counts
 from scara_effmass.errors import RobotError
 from scara_effmass.model.poses import ManyPoses
 from scara_effmass.model.robot import Robot
@@ -320,7 +321,7 @@ def summarize(cells: Cells, table: pa.Table, iso_mass: float) -> dict[str, Any]:
         "configurations": len(bound),
         "left_out": sample.left_out,
         "unknown": int(sample.unknown.sum()),
-        "mass_models": _mass_models(sample),
+        "mass_models": mass_model_counts(sample.contacts, sample.assessed.labels).most_common(),
         "cells": table.num_rows,
         "cell_m": cells.size,
         **{name: _percentiles(table[name].to_numpy()) for name in columns},
@@ -330,13 +331,6 @@ def summarize(cells: Cells, table: pa.Table, iso_mass: float) -> dict[str, Any]:
         "rise_by_second_half": _percentiles(cells.largest(bound) / early - 1.0),
         "slowest": table.take([int(np.argmin(table["allowable_speed_m_s"].to_numpy()))]).to_pylist()[0],
     }
-
-
-def _mass_models(sample: WorkspaceSample) -> list[tuple[str, int]]:
-    """Return how often which mass model decides and why, the most frequent first."""
-    models, whys = (sample.assessed.labels[name] for name in ("mass_model", "mass_model_reason"))
-    pairs = Counter(zip(*(sample.contacts[name].tolist() for name in ("mass_model", "mass_model_reason")), strict=True))
-    return [(f"{models[int(model)]}: {whys[int(why)]}", count) for (model, why), count in pairs.most_common() if model]
 
 
 def _percentiles(values: FloatArray) -> dict[str, float]:

@@ -65,7 +65,7 @@ class Page:
                     _line("allowable", _LIMIT_COLOR, type="dashed", step="end"),
                     _line("speed", _SPEED_COLOR, areaStyle={"opacity": 0.08}),
                 ]
-                self._speeds = _chart("speed and allowable speed", "s before now", "m/s", lines, x_min=-60, x_max=0)
+                self._speeds = _chart("speed and allowable speed", "s before now", "m/s", lines, -60)
             with _card("Contact points", "whole"):
                 self._contacts = _html("", "scroll")
             with _card("Last impacts", "wide"):
@@ -78,14 +78,8 @@ class Page:
                 self._impacts = _html("", "scroll")
             with _card("Predicted and measured peak force", "wide"):
                 points = [
-                    {
-                        "name": "predicted too low",
-                        "type": "scatter",
-                        "symbol": "triangle",
-                        "symbolSize": 11,
-                        "color": "#a61b1b",
-                    },
-                    {"name": "on the safe side", "type": "scatter", "symbolSize": 9, "color": "#0b6b4b"},
+                    _points("predicted too low", "#a61b1b", 11, "triangle"),
+                    _points("on the safe side", "#0b6b4b", 9),
                     _line("equal", "#9aa5b1"),
                 ]
                 self._scatter = _chart("predicted and measured peak forces", "predicted [N]", "measured [N]", points)
@@ -97,7 +91,7 @@ class Page:
                     _line("interval of 95 %", "#9aa5b1"),
                     _line("stated", _LIMIT_COLOR, type="dashed"),
                 ]
-                self._loads = _chart("load by the torques of the joints", "s before now", "kg", lines, -60, 0)
+                self._loads = _chart("load by the torques of the joints", "s before now", "kg", lines, -60)
                 self._load = ui.label().classes("note")
             with _card("Episodes", "wide log"):
                 self._episodes = _html("", "scroll")
@@ -358,14 +352,13 @@ def _line(name: str, color: str, type: str = "solid", **options: Any) -> dict[st
     return {"name": name, "type": "line", "color": color, "lineStyle": style, "showSymbol": False, **options}
 
 
-def _chart(
-    label: str,
-    x_name: str,
-    y_name: str,
-    series: list[dict[str, Any]],
-    x_min: int | None = None,
-    x_max: int | None = None,
-) -> ui.echart:
+def _points(name: str, color: str, size: int, symbol: str = "circle") -> dict[str, Any]:
+    return {"name": name, "type": "scatter", "symbol": symbol, "symbolSize": size, "color": color}
+
+
+def _chart(label: str, x_name: str, y_name: str, series: list[dict[str, Any]], x_min: int | None = None) -> ui.echart:
+    """Return a chart; with `x_min` it ends at x = 0, now."""
+    x_max = None if x_min is None else 0
     axis = {"nameLocation": "middle", "nameTextStyle": {"color": _SPEED_COLOR}, "axisLabel": {"color": _SPEED_COLOR}}
     options = {
         "animation": False,

@@ -36,9 +36,6 @@ _DOWN = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 def stl_of(robot: Robot) -> list[bytes]:
     """Return each hull of a link in the frame of its joint, as STL, in the order of the contacts."""
-    if not robot.hulls:
-        return []
-
     files = []
     for name in (name for name in robot.contact_frames if name in robot.hulls):
         corners = triangles(robot.hulls[name])
