@@ -2,7 +2,7 @@
 """Force and impacts in recordings and files, and the force over time around each impact."""
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -54,8 +54,8 @@ class RecordedForce(NamedTuple):
 
     stamp_ns: NDArray[np.int64]
     force: FloatArray
-    blocks: int
     lost: int
+    blocks: int
     simulated: bool
     source: str
     impacts: tuple[Impact, ...]
@@ -94,9 +94,18 @@ def read_force(bag: Bag) -> RecordedForce | None:
     blocks = list(bag.force_blocks(topic)) if topic else []
     if not blocks:
         return None
-    stamps: list[NDArray[np.int64]] = []
-    forces: list[FloatArray] = []
-    lost = 0
+    return RecordedForce(
+        *_samples(blocks),
+        blocks=len(blocks),
+        simulated=any(block.simulated for block in blocks),
+        source=blocks[-1].source,
+        impacts=tuple(bag.impacts(impact_topic)) if impact_topic else detected_impacts(blocks),
+    )
+
+
+def _samples(blocks: Sequence[ForceBlock]) -> tuple[NDArray[np.int64], FloatArray, int]:
+    """Return stamps [ns] and forces [N] of `blocks` (n,), with one NaN in each gap, and the number of lost samples."""
+    stamps, forces, lost = [], [], 0
     for before, block in zip((None, *blocks), blocks, strict=False):
         missing = lost_before(block, before)
         lost += missing
@@ -105,15 +114,7 @@ def read_force(bag: Bag) -> RecordedForce | None:
             forces.append(np.array([NAN]))
         stamps.append(block.stamp_ns + np.rint(np.arange(len(block.force)) / block.sample_rate * NS).astype(np.int64))
         forces.append(block.force)
-    return RecordedForce(
-        stamp_ns=np.concatenate(stamps),
-        force=np.concatenate(forces),
-        blocks=len(blocks),
-        lost=lost,
-        simulated=any(block.simulated for block in blocks),
-        source=blocks[-1].source,
-        impacts=tuple(bag.impacts(impact_topic)) if impact_topic else detected_impacts(blocks),
-    )
+    return np.concatenate(stamps), np.concatenate(forces), lost
 
 
 def lost_before(block: ForceBlock, before: ForceBlock | None) -> int:
@@ -239,37 +240,37 @@ class Drawing(NamedTuple):
 
 
 class ShownTrace(NamedTuple):
-    """One impact in a report; forces [N], speed [m/s]."""
+    """One impact in a report, with a trace that reaches the onset; forces [N], speed [m/s]."""
 
     title: str
-    time: str
-    drawing: Drawing
+    stamp_ns: int
+    trace: ForceTrace
     simulated: bool
     peak: float
-    predicted: float | None
-    speed: float | None
+    predicted: float | None = None
+    speed: float | None = None
+
+    def drawing(self) -> Drawing:
+        """Return the trace and the predicted peak as a report draws them."""
+        trace = self.trace
+        end = _round_up(min(SHOWN_DURATIONS * (trace.duration or AFTER_S), float(trace.time[-1])))
+        inside = (trace.time >= -0.2 * end) & (trace.time <= end)
+        time, force = decimate(trace.time[inside], trace.force[inside], COLUMNS)
+        top = _round_up(1.02 * max(float(force.max()), self.predicted or 0.0, 1e-9))
+
+        def y(value: float) -> float:
+            return round(BASE - (BASE - TOP) * value / top, 1)
+
+        def x(seconds: float) -> float:
+            return round(LEFT + (RIGHT - LEFT) * (seconds + 0.2 * end) / (1.2 * end), 1)
+
+        points = " ".join(f"{x(t)},{y(value)}" for t, value in zip(time.tolist(), force.tolist(), strict=True))
+        return Drawing(points, y(self.predicted) if self.predicted else None, f"{top:g}", f"{1e3 * end:.3g}", x(0.0))
 
 
 def sampling_loss(duration: float, rate: float) -> float:
     """Return 1 - cos(pi / (2 T f)) for a half-sine of `duration` T [s] sampled at `rate` f [Hz]."""
     return 1.0 - math.cos(min(0.5 * math.pi / (duration * rate), 0.5 * math.pi))
-
-
-def draw_trace(trace: ForceTrace, predicted: float | None) -> Drawing:
-    """Return the drawing of a non-empty trace and of the `predicted` peak [N]."""
-    end = _round_up(min(SHOWN_DURATIONS * (trace.duration or AFTER_S), float(trace.time[-1])))
-    shown = (trace.time >= -0.2 * end) & (trace.time <= end)
-    time, force = decimate(trace.time[shown], trace.force[shown], COLUMNS)
-    top = _round_up(1.02 * max(float(force.max()), predicted or 0.0, 1e-9))
-
-    def y(value: float) -> float:
-        return round(BASE - (BASE - TOP) * value / top, 1)
-
-    def x(seconds: float) -> float:
-        return round(LEFT + (RIGHT - LEFT) * (seconds + 0.2 * end) / (1.2 * end), 1)
-
-    points = " ".join(f"{x(t)},{y(value)}" for t, value in zip(time.tolist(), force.tolist(), strict=True))
-    return Drawing(points, y(predicted) if predicted else None, f"{top:g}", f"{1e3 * end:.3g}", x(0.0))
 
 
 NO_TRACE = ForceTrace(np.empty(0), np.empty(0))
@@ -326,17 +327,16 @@ def file_rise_ns(path: Path, settings: ImportSettings) -> int | None:
 
     Raises BagError, SettingsError.
     """
-    stamps, forces = [], []
-    for _, block in file_measurements(path, settings, LossLog()):
-        if isinstance(block, ForceBlock) and len(block.force):
-            stamps.append(
-                block.stamp_ns + np.round(np.arange(len(block.force)) / block.sample_rate * NS).astype(np.int64)
-            )
-            forces.append(block.force)
-    if not forces:
+    values = (value for _, value in file_measurements(path, settings, LossLog()))
+    blocks = [value for value in values if isinstance(value, ForceBlock)]
+    if not blocks:
         return None
-    stamps_ns, force = np.concatenate(stamps), np.nan_to_num(np.concatenate(forces), nan=-math.inf)
-    peak, lowest = int(force.argmax()), float(force[np.isfinite(force)].min(initial=math.inf))
+    stamps_ns, force, _ = _samples(blocks)
+    is_finite = np.isfinite(force)
+    stamps_ns, force = stamps_ns[is_finite], force[is_finite]
+    if not len(force):
+        return None
+    peak, lowest = int(force.argmax()), float(force.min())
     low = np.flatnonzero(force[:peak] <= lowest + LOW_SHARE * (force[peak] - lowest))
     return int(stamps_ns[low[-1]]) if low.size else None
 
@@ -349,27 +349,11 @@ def recorded_traces(forces: RecordedForce, title: str) -> list[ShownTrace]:
         inside = (time >= -BEFORE_S) & (time <= AFTER_S) & np.isfinite(forces.force)
         if not impact.rebound and inside.any():
             trace = _above_baseline(time[inside], forces.force[inside])
-            traces += shown(title, impact.stamp_ns, trace, simulated=impact.simulated, peak=impact.peak_force)
+            if trace.reaches_onset:
+                traces.append(ShownTrace(title, impact.stamp_ns, trace, impact.simulated, impact.peak_force))
     return traces
 
 
 def _above_baseline(time: FloatArray, force: FloatArray) -> ForceTrace:
     before = force[time < 0.0]
     return ForceTrace(time, force - (np.median(before) if before.size else 0.0))
-
-
-def shown(
-    title: str,
-    stamp_ns: int,
-    trace: ForceTrace,
-    *,
-    simulated: bool,
-    peak: float,
-    predicted: float | None = None,
-    speed: float | None = None,
-) -> list[ShownTrace]:
-    """Return the trace of an impact as a report shows it; none if the trace ends before the onset."""
-    if not trace.reaches_onset:
-        return []
-    drawing = draw_trace(trace, predicted)
-    return [ShownTrace(title, iso_time(stamp_ns), drawing, simulated, peak, predicted, speed)]

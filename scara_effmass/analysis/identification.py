@@ -11,13 +11,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from scara_effmass.analysis.assessment import Time, joint_state_topic
+from scara_effmass.analysis.output import json_types
 from scara_effmass.bags.files import open_bag
 from scara_effmass.codes import Reason
 from scara_effmass.errors import BagError, RobotError, SettingsError
 from scara_effmass.identification.arm import (
     ArmEstimate,
     EffectiveMasses,
-    PointMasses,
     effective_mass,
     effective_masses,
     identify_arm,
@@ -89,48 +89,42 @@ class Identification(NamedTuple):
     def as_dict(self) -> dict[str, Any]:
         """Return the result for JSON."""
         estimate, names = self.estimate, self.robot.joint_names
-        links = zip(names, estimate.stated, estimate.parameters, estimate.deviations, estimate.is_known, strict=True)
+        solution, base = estimate.solution, estimate.base
         of_file, corrected = self.mass_uncertainties
-        return {
-            "recording": str(self.path),
+        content = {
+            "recording": self.path,
             "robot": self.robot.origin,
             "joint_states": self.total,
             "joint_states_used": self.used,
             "unfit": estimate.unfit,
-            "rows": {"counted": estimate.solution.rows, "left_out": estimate.solution.left_out},
+            "rows": {"counted": solution.rows, "left_out": solution.left_out},
             "base_parameters": {
-                "identifiable": estimate.base.identifiable,
-                "rank": estimate.base.rank,
-                "condition_number": _finite(estimate.base.condition_number),
+                "identifiable": base.identifiable,
+                "rank": base.rank,
+                "condition_number": base.condition_number,
             },
             "is_projected": estimate.is_projected,
             "links": [
                 {
                     "joint": name,
-                    "stated": stated.tolist(),
-                    "identified": found.tolist(),
-                    "deviations": deviations.tolist(),
-                    "is_identified": known.tolist(),
+                    "stated": estimate.stated[j],
+                    "identified": estimate.parameters[j],
+                    "deviations": estimate.deviations[j],
+                    "is_identified": estimate.is_known[j],
                 }
-                for name, stated, found, deviations, known in links
+                for j, name in enumerate(names)
             ],
             "joints": [
                 {
                     "joint": name,
-                    "coulomb": float(f[0]),
-                    "viscous": float(f[1]),
-                    "effort_error": float(e),
-                    "rms": float(r),
+                    "coulomb": solution.friction[j][0],
+                    "viscous": solution.friction[j][1],
+                    "effort_error": solution.scale_errors[j],
+                    "rms": solution.residuals[j],
                 }
-                for name, f, e, r in zip(
-                    names,
-                    estimate.solution.friction,
-                    estimate.solution.scale_errors,
-                    estimate.solution.residuals,
-                    strict=True,
-                )
+                for j, name in enumerate(names)
             ],
-            "point_masses": _as_lists(estimate.point_masses),
+            "point_masses": estimate.point_masses,
             "effective_mass": {
                 "configurations": CONFIGURATIONS,
                 "identified_over_file": _percentiles(self.ratios),
@@ -138,6 +132,7 @@ class Identification(NamedTuple):
             },
             "mass_uncertainty": {"of_this_file": of_file, "of_the_corrected_file": corrected},
         }
+        return {name: json_types(value) for name, value in content.items()}
 
     def lines(self) -> Iterator[tuple[str, str]]:
         """Yield subject and text of the report."""
@@ -180,14 +175,6 @@ class Identification(NamedTuple):
                 solution.residuals[j],
             )
             yield name, float(stated), found, *map(float, numbers)
-
-
-def _finite(value: float) -> float | None:
-    return value if np.isfinite(value) else None
-
-
-def _as_lists(masses: PointMasses | None) -> dict[str, object] | None:
-    return None if masses is None else {name: values.tolist() for name, values in masses._asdict().items()}
 
 
 def _percentiles(values: FloatArray) -> dict[str, float]:

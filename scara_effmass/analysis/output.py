@@ -1,11 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Output files that appear only when complete and never replace a file without permission."""
+"""Output files that appear only when complete and never replace a file without permission; results as JSON types."""
 
+import math
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
 
 from scara_effmass.errors import OutputError
 from scara_effmass.input_files import check_not_input
@@ -80,3 +85,24 @@ def write_files(folder: Path, files: Mapping[str, bytes], *, overwrite: bool) ->
     with ExitStack() as stack:
         for name, content in files.items():
             stack.enter_context(atomic_file(folder / name, overwrite=overwrite)).write_bytes(content)
+
+
+def json_types(value: Any, without: str = "") -> Any:  # noqa: ANN401 - any part of a result
+    """Return `value` as JSON types; named tuples and dataclasses become objects, without the field `without`.
+
+    Numbers that are not finite become null.
+    """
+    if is_dataclass(value):
+        value = {field.name: getattr(value, field.name) for field in fields(value)}
+    elif hasattr(value, "_asdict"):
+        value = value._asdict()
+    elif isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, dict):
+        named = ((f"{key:g}" if isinstance(key, float) else str(key), item) for key, item in value.items())
+        return {key: json_types(item) for key, item in named if key != without}
+    if isinstance(value, tuple | list):
+        return [json_types(item) for item in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value if value is None or isinstance(value, bool | int | str) else str(value)

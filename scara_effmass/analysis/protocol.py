@@ -246,15 +246,15 @@ class Protocol(FrozenSettings):
                 return test
         raise SettingsError(f"test = {name}: must be one of {', '.join(test.id for test in self.tests)}")
 
-    def device(self, test: ContactTest) -> Instrument | None:
-        """Return the instrument of `test`, None if the test names none or an unknown one."""
-        return next((item for item in self.instruments if item.id == test.instrument), None)
+    def devices(self, test: ContactTest) -> dict[str, Instrument | None]:
+        """Return the instruments of force, pressure and speed of `test` by id; None for an unknown one."""
+        by_id = {item.id: item for item in self.instruments}
+        names = test.instrument, test.pressure_instrument, test.speed_instrument
+        return {name: by_id.get(name) for name in names if name}
 
-    def other_devices(self, test: ContactTest) -> Iterator[tuple[str, Instrument | None]]:
-        """Yield each id of an instrument that measured something other than the force, and the instrument."""
-        for name in dict.fromkeys(filter(None, (test.pressure_instrument, test.speed_instrument))):
-            if name != test.instrument:
-                yield name, next((item for item in self.instruments if item.id == name), None)
+    def device(self, test: ContactTest) -> Instrument | None:
+        """Return the instrument of the force, None if the test names none or an unknown one."""
+        return self.devices(test).get(test.instrument or "")
 
     def replaced(self, test: ContactTest) -> "Protocol":
         """Return the protocol with `test` in place of the test with the same id."""
@@ -368,12 +368,9 @@ class Plan:
                 devices[device] = Instrument(id=device)
                 tests.append(self._test(f"{region}_{number}", device, candidate))
         identity = Identity(robot_model=robot_model, standard=EDITION, limits_hash=TABLE_HASH)
-        empty = ContactTest(id="1", instrument="device", results=EMPTY)
-        return Protocol(
-            identity=identity,
-            instruments=tuple(devices.values()) or (Instrument(id="device"),),
-            tests=tuple(tests) or (empty,),
-        )
+        if not tests:
+            return Protocol(identity=identity, tests=(ContactTest(id="1", instrument="device", results=EMPTY),))
+        return Protocol(identity=identity, instruments=tuple(devices.values()), tests=tuple(tests))
 
     def _test(self, name: str, device: str, candidate: Candidate) -> ContactTest:
         limit, contact, speed = candidate.limit, candidate.contact, candidate.contact.speed

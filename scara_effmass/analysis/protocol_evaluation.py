@@ -26,7 +26,6 @@ from scara_effmass.analysis.forces import (
     file_rise_ns,
     file_traces,
     sampling_loss,
-    shown,
 )
 from scara_effmass.analysis.protocol import (
     MIN_REPETITIONS,
@@ -58,6 +57,8 @@ SPEED_TOLERANCE = 0.05
 """Share of the commanded speed by which a contact may be slower."""
 IDENTITY = ("model", "serial", "calibration_date", "calibration_due")
 """What is stated of an instrument that measures pressure or speed alone."""
+SOURCE = {"raw_data", "raw_offset_s", "raw_channel", "raw_unit", "raw_import"}
+"""Fields of a contact that say where its force is."""
 ROUNDING = 1e-3
 """Relative difference of forces that are the same."""
 STIFFNESS_TOLERANCE = 0.1
@@ -251,7 +252,7 @@ def _unknown_reasons(
     times = [item.time for item in repetitions if item.time]
     if len(set(times)) < len(times):
         yield "the same contact twice: results.repetitions.time must differ"
-    yield from _device_reasons(protocol, test, instrument)
+    yield from _device_reasons(protocol, test)
     for number, item in enumerate(repetitions, start=1):
         if (item.reached_speed_m_s or math.inf) < (1.0 - SPEED_TOLERANCE) * (motion.commanded_speed_m_s or 0.0):
             yield f"slower than commanded: contact {number}, {item.reached_speed_m_s:.3f} m/s"
@@ -261,55 +262,45 @@ def _unknown_reasons(
             yield f"duration and held force disagree: contact {number}, {duration_s:.3g} s, {held_n:.3g} N after 0.5 s"
     yield from _changed_data(repetitions, folder)
     tolerance = instrument.force_uncertainty or 0.0 if instrument else 0.0
-    for _, group in groupby(enumerate(repetitions, start=1), lambda numbered: _source(numbered[1])):
-        yield from _raw_reasons(list(group), tolerance, folder)
+    yield from dict.fromkeys(_raw_reasons(test, tolerance, folder))  # a file that is none counts once
     yield from (f"photo not found: {name}" for name in test.results.photos or () if not (folder / name).is_file())
 
 
-def _device_reasons(protocol: Protocol, test: ContactTest, instrument: Instrument | None) -> Iterator[str]:
+def _device_reasons(protocol: Protocol, test: ContactTest) -> Iterator[str]:
     """Yield what is doubtful about the instruments of a test."""
-    if instrument:
-        yield from _instrument_reasons(instrument, protocol, test)
-        yield from _missing_masses(test, instrument)
-    elif test.instrument:
-        yield f"unknown instrument: {test.instrument}"
-    for name, device in protocol.other_devices(test):
+    day, point, instrument = protocol.identity.test_date, test.point, protocol.device(test)
+    for name, device in protocol.devices(test).items():
         if device is None:
             yield f"unknown instrument: {name}"
-        else:
+            continue
+        if device is not instrument:
             yield from (f"missing: instruments.{name}.{field}" for field in IDENTITY if getattr(device, field) is None)
-            yield from _calibration_reasons(device, protocol)
-
-
-def _instrument_reasons(instrument: Instrument, protocol: Protocol, test: ContactTest) -> Iterator[str]:
-    day = protocol.identity.test_date
-    if instrument.fixed is False and instrument.moving_mass_kg is None:
-        yield f"missing: instruments.{instrument.id}.moving_mass_kg"
-    if instrument.fixed is False and test.point.contact is ContactType.QUASI_STATIC:
-        yield f"clamping needs a fixed device: instruments.{instrument.id}.fixed must be true"
-    yield from _calibration_reasons(instrument, protocol)
+        due, done = device.calibration_due, device.calibration_date
+        if day and done and due and not done <= day <= due:
+            yield f"not calibrated on the day of the test: {name}"
     other_days = sorted({item.time.date() for item in test.results.repetitions if item.time} - {day})
-    if day and other_days:
+    if instrument and day and other_days:
         yield f"not measured on identity.test_date: {', '.join(map(str, other_days))}"
-
-
-def _calibration_reasons(instrument: Instrument, protocol: Protocol) -> Iterator[str]:
-    day, due, done = protocol.identity.test_date, instrument.calibration_due, instrument.calibration_date
-    if day and done and due and not done <= day <= due:
-        yield f"not calibrated on the day of the test: {instrument.id}"
+    if instrument and instrument.fixed is False:
+        if instrument.moving_mass_kg is None:
+            yield f"missing: instruments.{instrument.id}.moving_mass_kg"
+        if point.contact is ContactType.QUASI_STATIC:
+            yield f"clamping needs a fixed device: instruments.{instrument.id}.fixed must be true"
+    if instrument and instrument.fixed is not None and instrument.stiffness_n_m:
+        yield from _missing_masses(test, instrument)
 
 
 def _missing_masses(test: ContactTest, instrument: Instrument) -> Iterator[str]:
     """Yield the contacts whose force cannot be judged on their device without the mass of the robot."""
-    point, items = test.point, test.results.repetitions
-    numbers = [number for number, item in enumerate(items, start=1) if item.effective_mass_kg is None]
-    if instrument.fixed is None or not (point.body_region and point.contact_area_m2 and instrument.stiffness_n_m):
+    point = test.point
+    if not (point.body_region and point.contact_area_m2):
         return  # named as missing themselves
     transient, _ = _limits(point.body_region, point.contact_area_m2, point.contact)
     if not _needs_no_mass(instrument, transient):
         kind = "the device is softer than the region" if instrument.fixed else "the device moves"
-        for number in numbers:
-            yield f"{kind}; missing: tests.{test.id}.results.repetitions.{number}.effective_mass_kg"
+        for number, item in enumerate(test.results.repetitions, start=1):
+            if item.effective_mass_kg is None:
+                yield f"{kind}; missing: tests.{test.id}.results.repetitions.{number}.effective_mass_kg"
 
 
 def _changed_data(repetitions: tuple[Repetition, ...], folder: Path) -> Iterator[str]:
@@ -322,21 +313,51 @@ def _changed_data(repetitions: tuple[Repetition, ...], folder: Path) -> Iterator
                 yield f"raw data changed: {name}"
 
 
-def _raw_reasons(contacts: list[tuple[int, Repetition]], tolerance: float, folder: Path) -> Iterator[str]:
-    """Yield where the raw data of contacts in one file is no force, or shows more than was entered.
+def _onset_ns(item: Repetition) -> int:
+    return round(item.time.timestamp() * 1e6) * 1000 if item.time else 0
 
-    `tolerance` is relative.
+
+def _raw_contacts(
+    test: ContactTest, folder: Path, after_s: float
+) -> Iterator[tuple[int, Repetition, ForceTrace | str, list[str]]]:
+    """Yield number and values of each contact with a time and a peak, its force in the raw data, and remarks on those.
+
+    The force is up to `after_s`, or a text that says why there is none. Remarks on a file come with its first contact.
     """
-    known = [(number, item) for number, item in contacts if item.time and item.transient_peak_n is not None]
-    name = contacts[0][1].raw_data
-    if not known or not name or not (folder / name).exists():
-        return  # named as missing, or as not found
-    try:
-        traces, _ = _raw_traces([item for _, item in known], folder, MAX_CONTACT_S, LossLog())
-    except EffmassError as error:
-        yield f"raw data is no force: {str(error).removeprefix(f'{folder / name}: ')}"
-        return
-    for (number, item), trace in zip(known, traces, strict=True):
+    numbered = enumerate(test.results.repetitions, start=1)
+    entered = [(number, item) for number, item in numbered if item.time and item.transient_peak_n is not None]
+    for source, group in groupby(entered, lambda pair: pair[1].model_dump(include=SOURCE)):  # to read each file once
+        numbers, items = zip(*group, strict=True)
+        onsets_ns, losses, remarks = [_onset_ns(item) for item in items], LossLog(), list[str]()
+        path, offset_s = folder / (source["raw_data"] or ""), source["raw_offset_s"]
+        stated = (source["raw_import"] or {}) | {"topic": source["raw_channel"] or "", "unit": source["raw_unit"] or ""}
+        traces: Sequence[ForceTrace | str] = ["no raw data is named"] * len(items)
+        try:
+            if source["raw_data"]:
+                settings = checked(ImportSettings, stated, "raw_import")
+                traces = found = file_traces(path, settings, onsets_ns, after_s, losses, offset_s or 0.0)
+                if len(items) == 1 and offset_s is None and not found[0].reaches_onset:  # typed in by hand
+                    rise_ns = file_rise_ns(path, settings)
+                    if rise_ns is not None:
+                        traces = file_traces(path, settings, onsets_ns, after_s, losses, (onsets_ns[0] - rise_ns) / 1e9)
+                        remarks.append("drawn from its rise on, because the file has another clock")
+        except EffmassError as error:
+            traces = [str(error).removeprefix(f"{path}: ")] * len(items)
+        remarks += [line.removeprefix(f"{path}: ") for line in losses]
+        for number, item, trace in zip(numbers, items, traces, strict=True):
+            yield number, item, trace, remarks
+            remarks = []
+
+
+def _raw_reasons(test: ContactTest, tolerance: float, folder: Path) -> Iterator[str]:
+    """Yield where the raw data is no force, or shows more than was entered; `tolerance` is relative."""
+    for number, item, trace, _ in _raw_contacts(test, folder, MAX_CONTACT_S):
+        name = item.raw_data
+        if not name or not (folder / name).exists():
+            continue  # named as missing, or as not found
+        if isinstance(trace, str):
+            yield f"raw data is no force: {trace}"
+            continue
         if not trace.reaches_onset:
             yield f"raw data without force at the time of the contact: contact {number}, {name}"
             continue
@@ -349,33 +370,6 @@ def _raw_reasons(contacts: list[tuple[int, Repetition]], tolerance: float, folde
             if force.max(initial=0.0) > entered_n * (1.0 + max(tolerance, ROUNDING)):
                 text = f"{at_least(force.max(), 1)} N in {name}"
                 yield f"raw data shows more force than was entered: contact {number}, {text}"
-
-
-def _source(item: Repetition) -> tuple[object, ...]:
-    """Return where the force of a contact is."""
-    return item.raw_data, item.raw_offset_s, item.raw_channel, item.raw_unit, item.raw_import
-
-
-def _onset_ns(item: Repetition) -> int:
-    return round(item.time.timestamp() * 1e6) * 1000 if item.time else 0
-
-
-def _raw_traces(
-    items: Sequence[Repetition], folder: Path, after_s: float, losses: LossLog
-) -> tuple[list[ForceTrace], bool]:
-    """Return the force of contacts in one file, as `file_traces`, and whether the file has a clock of its own.
-
-    Raises BagError, SettingsError.
-    """
-    first, onsets_ns = items[0], [_onset_ns(item) for item in items]
-    stated = (first.raw_import or {}) | {"topic": first.raw_channel or "", "unit": first.raw_unit or ""}
-    path, settings = folder / str(first.raw_data), checked(ImportSettings, stated, "raw_import")
-    traces = file_traces(path, settings, onsets_ns, after_s, losses, first.raw_offset_s or 0.0)
-    if len(items) == 1 and first.raw_offset_s is None and not traces[0].reaches_onset:  # typed in by hand
-        rise_ns = file_rise_ns(path, settings)
-        if rise_ns is not None:
-            return file_traces(path, settings, onsets_ns, after_s, losses, (onsets_ns[0] - rise_ns) / 1e9), True
-    return traces, False
 
 
 def _values(test: ContactTest, instrument: Instrument) -> dict[str, float | bool]:
@@ -472,7 +466,7 @@ def write_report(protocol: Protocol, path: Path, folder: Path, options: PageOpti
     contacts = [item for test in protocol.tests for item in test.results.repetitions]
     data = [path.parent / item.raw_data for item in contacts if item.raw_data]
     photos = [path.parent / name for test in protocol.tests for name in test.results.photos or ()]
-    curves = list(_traces(protocol, path.parent))
+    curves = list(_curves(protocol, path.parent))
     devices = [(test, protocol.device(test)) for test in protocol.tests]
     page = render(
         "protocol.html",
@@ -498,59 +492,18 @@ class CurveNote(NamedTuple):
     text: str
 
 
-class Contact(NamedTuple):
-    """Contact of a test in a report."""
-
-    title: str
-    item: Repetition
-
-    def shown(self, trace: ForceTrace) -> list[ShownTrace]:
-        """Return the curve, none if the trace ends before the onset."""
-        item = self.item
-        return shown(
-            self.title,
-            _onset_ns(item),
-            trace,
-            simulated=bool(item.simulated),
-            peak=item.transient_peak_n or 0.0,
-            predicted=item.predicted_force_n,
-            speed=item.reached_speed_m_s,
-        )
-
-
-def _traces(protocol: Protocol, folder: Path) -> Iterator[ShownTrace | CurveNote]:
+def _curves(protocol: Protocol, folder: Path) -> Iterator[ShownTrace | CurveNote]:
     """Yield the force over time of each contact, or why there is none."""
     for test in protocol.tests:
-        entries = [
-            Contact(f"{test.id}, {number}", item)
-            for number, item in enumerate(test.results.repetitions, start=1)
-            if item.time and item.transient_peak_n is not None
-        ]
-        for _, group in groupby(entries, lambda contact: _source(contact.item)):
-            yield from _curves(list(group), folder)  # of one file, so that it is read once
-
-
-def _curves(contacts: list[Contact], folder: Path) -> Iterator[ShownTrace | CurveNote]:
-    """Yield the curves of contacts whose force is in one file."""
-    name = contacts[0].item.raw_data
-    if name is None:
-        yield from (CurveNote(contact.title, "", "no raw data is named") for contact in contacts)
-        return
-    losses = LossLog()
-    try:
-        traces, is_own_clock = _raw_traces([contact.item for contact in contacts], folder, AFTER_S, losses)
-    except EffmassError as error:
-        reason = str(error).removeprefix(f"{folder / name}: ")
-        yield from (CurveNote(contact.title, name, reason) for contact in contacts)
-        return
-    yield from (CurveNote(contacts[0].title, name, line.removeprefix(f"{folder / name}: ")) for line in losses)
-    if is_own_clock:
-        yield CurveNote(contacts[0].title, name, "drawn from its rise on, because the file has another clock")
-    curves = [contact.shown(trace) for contact, trace in zip(contacts, traces, strict=True)]
-    for contact, curve in zip(contacts, curves, strict=True):
-        yield from curve
-        if not curve:
-            yield CurveNote(contact.title, name, "no force at the time of the contact: state raw_offset_s")
+        for number, item, trace, remarks in _raw_contacts(test, folder, AFTER_S):
+            title = f"{test.id}, {number}"
+            notes = [*remarks, trace] if isinstance(trace, str) else remarks
+            if not isinstance(trace, str) and trace.reaches_onset:
+                values = item.transient_peak_n or 0.0, item.predicted_force_n, item.reached_speed_m_s
+                yield ShownTrace(title, _onset_ns(item), trace, bool(item.simulated), *values)
+            elif not isinstance(trace, str):
+                notes = [*notes, "no force at the time of the contact: state raw_offset_s"]
+            yield from (CurveNote(title, item.raw_data or "", text) for text in notes)
 
 
 def _photos(protocol: Protocol, folder: Path) -> Iterator[tuple[str, str, str]]:

@@ -14,7 +14,6 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
@@ -23,10 +22,12 @@ from scara_effmass.analysis.output import check_output_files
 from scara_effmass.analysis.report import (
     ENGLISH_PAGE,
     PAGE,
+    STYLE,
     PageOptions,
     ReportFigure,
     figure_files,
     file_hashes,
+    new_figure,
     render,
     report_figure,
     setting_rows,
@@ -50,8 +51,6 @@ MAX_ROWS = 100
 """Most episodes in a table of the page; the summary lists all."""
 COLUMNS = 1500
 """Approximate width of the data [pixel]; lines are decimated to it."""
-SUBTITLE_IN = 0.37
-"""Distance of the top of the subtitle from the upper edge [inch]."""
 MAX_LINEAR_RATIO = 12.0
 """Maximum ratio of the masses on a linear axis; beyond it the axis is logarithmic."""
 
@@ -59,12 +58,7 @@ _VERDICT_STYLES: dict[Verdict, dict[str, Any]] = {
     verdict: {"facecolor": color, "linewidth": 0.0} for verdict, color in VERDICT_COLORS.items()
 }
 _VERDICT_STYLES[Verdict.UNKNOWN] |= {"hatch": "////", "edgecolor": "#777777"}
-_STYLE: dict[Any, Any] = {
-    "font.size": 10.0,
-    "axes.grid": True,
-    "grid.alpha": 0.3,
-    "hatch.linewidth": 0.6,
-}
+_STYLE = STYLE | {"axes.grid": True, "grid.alpha": 0.3, "hatch.linewidth": 0.6}
 
 
 class RunReport:
@@ -210,8 +204,7 @@ def draw_run(
     """
     with mpl.rc_context(_STYLE):
         heights = (0.25, 2.2, 1.6, 1.3) if forces else (0.25, 2.2, 1.6)
-        figure = Figure(figsize=(13.0, 1.9 * sum(heights)), layout="constrained")
-        FigureCanvasAgg(figure)
+        figure = new_figure(13.0, 1.9 * sum(heights), title)
         rows = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
         band, speeds, masses = rows[:3]
         series = series.with_gaps(timeout)
@@ -227,10 +220,7 @@ def draw_run(
         style = {"facecolor": "none", "edgecolor": "#BBBBBB", "hatch": "////", "linewidth": 0.0}
         for axes in (speeds, masses):
             axes.broken_barh(unknown, (0.0, 1.0), transform=axes.get_xaxis_transform(), zorder=0, **style)
-        title += "\n" * (1 + subtitle.count("\n"))
-        figure.suptitle(title, fontsize=13.0, fontweight="bold", x=0.01, ha="left")
-        below_title = 1.0 - SUBTITLE_IN / figure.get_figheight()
-        figure.text(0.01, below_title, subtitle, fontsize=9.5, color="#444444", va="top")
+        band.set_title(subtitle, fontsize=9.5, color="#444444")
         figure.align_ylabels()
     return figure
 
@@ -255,30 +245,29 @@ def _draw_verdicts(axes: Axes, episodes: Sequence[Episode], min_width: float) ->
 
 
 def _draw_speeds(axes: Axes, series: TimeSeries) -> None:
-    _line(axes, series, series.allowable_speed, color="#0072B2", linewidth=1.6, label="allowable speed")
-    _line(axes, series, series.speed, color="#000000", linewidth=1.2, label="speed")
-    above = np.where(series.speed > series.allowable_speed, series.speed, np.nan)
-    if np.isfinite(above).any():
-        _line(axes, series, above, color="#D55E00", linewidth=2.4, label="speed above the allowable")
+    speed, allowable = series.rows["speed"], series.rows["allowable_speed"]
+    _line(axes, series, allowable, color="#0072B2", linewidth=1.6, label="allowable speed")
+    _line(axes, series, speed, color="#000000", linewidth=1.2, label="speed")
+    above = np.where(speed > allowable, speed, np.nan)
+    _line(axes, series, above, color="#D55E00", linewidth=2.4, label="speed above the allowable")
     axes.set_ylabel("speed of the contact point [m/s]")
     axes.set_ylim(bottom=0.0)
     _legend(axes)
 
 
 def _draw_masses(axes: Axes, series: TimeSeries, mass_model: str) -> None:
-    for model, values, label, color, style in (
-        ("lumped", series.lumped_mass, "lumped model", "#0072B2", ":"),
-        ("full", series.full_mass, "full model", "#000000", "--"),
-        ("iso", series.iso_mass, "ISO, M/2 + m_L", "#CC79A7", "-."),
+    for model, label, color, style in (
+        ("lumped", "lumped model", "#0072B2", ":"),
+        ("full", "full model", "#000000", "--"),
+        ("iso", "ISO, M/2 + m_L", "#CC79A7", "-."),
     ):
-        if np.isfinite(values).any():
-            if model == mass_model:
-                _line(axes, series, values, color=color, linestyle="-", linewidth=2.2, label=f"{label} (decides)")
-            else:
-                _line(axes, series, values, color=color, linestyle=style, linewidth=1.3, label=label)
+        drawn = {"linestyle": style, "linewidth": 1.3, "label": label}
+        if model == mass_model:
+            drawn = {"linestyle": "-", "linewidth": 2.2, "label": f"{label} (decides)"}
+        _line(axes, series, series.rows[f"{model}_mass"], color=color, **drawn)
     if mass_model in {"largest", "auto"}:
-        label = f"{mass_model} (decides)"
-        _line(axes, series, series.effective_mass, color="#E69F00", linewidth=4.0, alpha=0.5, label=label)
+        label, mass = f"{mass_model} (decides)", series.rows["effective_mass"]
+        _line(axes, series, mass, color="#E69F00", linewidth=4.0, alpha=0.5, label=label)
     masses = np.concatenate([line.get_ydata() for line in axes.get_lines()] or [np.empty(0)])
     masses = masses[np.isfinite(masses)]
     if len(masses) and masses.max() > MAX_LINEAR_RATIO * masses.min():
@@ -305,7 +294,9 @@ def _draw_forces(axes: Axes, forces: RecordedForce, start_ns: int) -> None:
 
 
 def _line(axes: Axes, series: TimeSeries, values: FloatArray, **style: object) -> None:
-    axes.plot(*decimate(series.time, values, COLUMNS), **style)  # type: ignore[arg-type]
+    """Draw values (m,) unless none of them is known."""
+    if np.isfinite(values).any():
+        axes.plot(*decimate(series.time, values, COLUMNS), **style)  # type: ignore[arg-type]
 
 
 def _legend(axes: Axes) -> None:

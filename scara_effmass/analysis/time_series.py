@@ -6,7 +6,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -32,45 +32,43 @@ class Change(NamedTuple):
     reason_code: Reason = Reason.NONE
 
 
+VALUES = ("speed", "allowable_speed", "margin", "effective_mass", "lumped_mass", "full_mass", "iso_mass")
+"""Speeds [m/s] and masses [kg] of a row; NaN where they are unknown."""
+ROW = np.dtype([("stamp_ns", "i8"), ("verdict", "i4"), ("body_region", "i4"), *((name, "f8") for name in VALUES)])
+
+
 @dataclass(frozen=True, slots=True)
 class TimeSeries:
-    """Assessments at `time` (m,) [s] since `start_ns`; unknown values are NaN. Speeds [m/s], masses [kg].
+    """Assessments `rows` (m,) of dtype ROW in order of their stamps.
 
     `changes` are the changes of the verdict by index. `mass_models` counts the mass models with the reasons for them.
-    `body_region` holds indices of `regions`, of which the first is empty: no region.
+    `body_region` of a row is an index of `regions`, of which the first is empty: no region.
     """
 
-    start_ns: int
     changes: Mapping[int, Change]
     mass_models: Counter[str]
     regions: tuple[str, ...]
-    time: FloatArray
-    verdict: NDArray[np.int32]
-    body_region: NDArray[np.int32]
-    speed: FloatArray
-    allowable_speed: FloatArray
-    margin: FloatArray
-    effective_mass: FloatArray
-    lumped_mass: FloatArray
-    full_mass: FloatArray
-    iso_mass: FloatArray
+    rows: NDArray[Any]
+
+    @property
+    def start_ns(self) -> int:
+        """Stamp of the first row, 0 without rows."""
+        return int(self.rows["stamp_ns"][0]) if len(self.rows) else 0
+
+    @property
+    def time(self) -> FloatArray:
+        """Time of each row (m,) [s] since the first one."""
+        return np.asarray((self.rows["stamp_ns"] - self.start_ns) / 1e9)
 
     def with_gaps(self, timeout: float) -> TimeSeries:
         """Return a copy with a row of NaN after each gap longer than `timeout` [s] begins, which breaks a line."""
         gaps = np.flatnonzero(np.diff(self.time) > timeout) + 1
-        values: dict[str, Any] = {name: np.insert(getattr(self, name), gaps, NAN) for name in _VALUES}
-        return replace(
-            self,
-            changes={},
-            time=np.insert(self.time, gaps, self.time[gaps - 1] + timeout),
-            verdict=np.insert(self.verdict, gaps, Verdict.UNKNOWN),
-            body_region=np.insert(self.body_region, gaps, 0),
-            **values,
-        )
-
-
-_VALUES = tuple(field.name for field in fields(TimeSeries))[7:]
-_ROW = np.dtype([("stamp_ns", "i8"), ("verdict", "i4"), ("body_region", "i4"), *((name, "f8") for name in _VALUES)])
+        silent = np.zeros(len(gaps), ROW)
+        silent["stamp_ns"] = self.rows["stamp_ns"][gaps - 1] + round(timeout * 1e9)
+        silent["verdict"] = Verdict.UNKNOWN
+        for name in VALUES:
+            silent[name] = NAN
+        return replace(self, changes={}, rows=np.insert(self.rows, gaps, silent))
 
 
 class Episode(NamedTuple):
@@ -95,7 +93,7 @@ class TimeSeriesBuilder:
 
     def __init__(self) -> None:
         """Start empty."""
-        self._rows = [np.empty(0, _ROW)]
+        self._rows = [np.empty(0, ROW)]
         self._count = 0
         self._changes: dict[int, Change] = {}
         self._regions = {"": 0}
@@ -105,8 +103,8 @@ class TimeSeriesBuilder:
         """Add contact point number `point`, each assessment at its own stamp where that is valid, else the log time."""
         assessments = states.assessments
         contacts, labels = assessments.contacts[:, point], assessments.labels
-        rows = np.empty(len(states), _ROW)
-        for name in ("verdict", *_VALUES):
+        rows = np.empty(len(states), ROW)
+        for name in ("verdict", *VALUES):
             rows[name] = contacts[name]
         regions = [self._regions.setdefault(region, len(self._regions)) for region in labels["body_region"]]
         rows["body_region"] = np.array(regions)[contacts["body_region"].astype(np.int64)]
@@ -131,16 +129,9 @@ class TimeSeriesBuilder:
         """Return the assessments so far, in order of time."""
         rows = np.concatenate(self._rows)
         order = np.argsort(rows["stamp_ns"], kind="stable")
-        rows, rank = rows[order], np.argsort(order)
-        start_ns = int(rows["stamp_ns"][0]) if len(rows) else 0
-        return TimeSeries(
-            start_ns=start_ns,
-            changes={int(rank[index]): change for index, change in self._changes.items()},
-            mass_models=self._mass_models,
-            regions=tuple(self._regions),
-            time=(rows["stamp_ns"] - start_ns) / 1e9,
-            **{name: rows[name].copy() for name in ("verdict", "body_region", *_VALUES)},
-        )
+        rank = np.argsort(order)
+        changes = {int(rank[index]): change for index, change in self._changes.items()}
+        return TimeSeries(changes, self._mass_models, tuple(self._regions), rows[order])
 
 
 def decimate(time: FloatArray, values: FloatArray, columns: int) -> tuple[FloatArray, FloatArray]:
@@ -168,7 +159,7 @@ def decimate(time: FloatArray, values: FloatArray, columns: int) -> tuple[FloatA
 
 def intervals(series: TimeSeries, timeout: float) -> Iterator[Episode]:
     """Yield the intervals of equal verdict in order; a silence beyond `timeout` [s] is UNKNOWN."""
-    time, verdict = series.time, series.verdict
+    time, verdict, margin = series.time, series.rows["verdict"], series.rows["margin"]
     if not len(time):
         return
     silent = np.diff(time) > timeout
@@ -177,12 +168,11 @@ def intervals(series: TimeSeries, timeout: float) -> Iterator[Episode]:
     for start, stop in zip(starts, [*starts[1:], len(time)], strict=True):
         end = float(time[min(stop, len(time) - 1)])
         last = min(end, float(time[stop - 1]) + timeout)
-        margins = series.margin[start:stop]
+        margins = margin[start:stop]
         tightest = start if np.isnan(margins).all() else start + int(np.nanargmin(margins))
-        region = series.regions[series.body_region[tightest]]
+        region = series.regions[series.rows["body_region"][tightest]]
         number = bisect_right(changes, start)
         change = series.changes[changes[number - 1]] if number else Change()
-        margin = float(series.margin[tightest])
-        yield Episode(float(time[start]), last, Verdict(verdict[start]), margin, region, *change)
+        yield Episode(float(time[start]), last, Verdict(verdict[start]), float(margin[tightest]), region, *change)
         if end > last:
             yield Episode(last, end, Verdict.UNKNOWN, NAN, "", NO_JOINT_STATE, reason_code=Reason.GAP)

@@ -170,9 +170,53 @@ def validate_recording(
 
     Raises as `validate`.
     """
-    validator = Validator(settings.validator)
+    validator, losses = Validator(settings.validator), LossLog()
     with open_bag(path) as bag:
-        recording = _feed(bag, force_path, dynamics, validator, settings, advance)
+        states = joint_state_topic(bag, settings.topic)
+        count = next(topic.count for topic in bag.topics if topic.name == states)
+        infos = tuple(run_infos(bag))
+        recording = ValidatedRecording(bag.path, states, str(force_path), infos, any(info.simulated for info in infos))
+        if force_path is None:
+            force = measurement_topic(bag, settings.force.topic)
+            recording.force_topic = force.name
+            measured = measurements(bag, force, settings.force)
+        else:
+            foreign = list(file_measurements(force_path, settings.force, losses))
+            measured = _on_joint_clock(foreign, bag, recording, Monitor(dynamics, settings.monitor), settings)
+        defaults, mass = settings.validator, settings.obstacle_mass
+        validator.runs.set(0, defaults.obstacle_mass if mass is None else mass, defaults.configuration)
+        for info in infos:
+            validator.runs.begin(info if mass is None else info._replace(obstacle_mass=mass), 0)
+        detector = Detector(settings.detection)
+        share, force_ns, monitor = 1.0 / count, 0, Monitor(dynamics, settings.monitor)
+        before: ForceBlock | None = None
+        records: tuple[Iterator[AssessedState | Measurement], ...] = (
+            measured,
+            assessed_rows(bag, states, monitor, settings.time),
+        )
+        for item in merge(*records, key=lambda record: record.log_time_ns):
+            if isinstance(item, AssessedState):
+                recording.joint_states += 1
+                advance(share)
+                validator.add_decision(item.decision, item.log_time_ns)
+                continue
+            value = item.value._replace(simulated=item.value.simulated or recording.simulated)
+            force_ns = item.log_time_ns
+            recording.count(value)
+            if isinstance(value, ForceBlock):
+                recording.lost_samples += lost_before(value, before)
+                before = value
+                validator.add_force(value, force_ns)
+            for impact in _impacts(detector, value):
+                validator.add_impact(impact, force_ns)
+        recording.joint_states += monitor.ignored
+        for impact in detector.finish():
+            validator.add_impact(impact, force_ns)
+        recording.dropouts, recording.glitches = detector.dropouts, detector.glitches
+        recording.sustained_contacts = detector.sustained_contacts
+        recording.left_out = tuple(detector.left_out)
+        losses.extend(bag.losses)
+        recording.losses = tuple(losses)
     validator.begin_recording()
     return recording, validator
 
@@ -199,61 +243,6 @@ def with_motion(validation: Validation, dynamics: RobotDynamics, settings: Valid
     recordings = [(item.path, item.joint_state_topic, item.impacts) for item in validation.recordings]
     by_motion, no_motion = scales_by_motion(recordings, dynamics.robot, settings.monitor, settings.time)
     return validation._replace(by_motion=by_motion, no_motion=no_motion)
-
-
-def _feed(
-    bag: Bag,
-    force_path: Path | None,
-    dynamics: RobotDynamics,
-    validator: Validator,
-    settings: ValidationSettings,
-    advance: Callable[[float], object],
-) -> ValidatedRecording:
-    """Feed one recording, and the force in `force_path`, into monitor, detector and validator; return its contents."""
-    states = joint_state_topic(bag, settings.topic)
-    count = next(topic.count for topic in bag.topics if topic.name == states)
-    infos = tuple(run_infos(bag))
-    recording = ValidatedRecording(bag.path, states, str(force_path), infos, any(info.simulated for info in infos))
-    losses = LossLog()
-    if force_path is None:
-        force = measurement_topic(bag, settings.force.topic)
-        recording.force_topic = force.name
-        measured = measurements(bag, force, settings.force)
-    else:
-        foreign = list(file_measurements(force_path, settings.force, losses))
-        measured = _on_joint_clock(foreign, bag, recording, Monitor(dynamics, settings.monitor), settings)
-    _set_runs(validator, settings, infos)
-    detector = Detector(settings.detection)
-    share, force_ns, monitor = 1.0 / count, 0, Monitor(dynamics, settings.monitor)
-    before: ForceBlock | None = None
-    records: tuple[Iterator[AssessedState | Measurement], ...] = (
-        measured,
-        assessed_rows(bag, states, monitor, settings.time),
-    )
-    for item in merge(*records, key=lambda record: record.log_time_ns):
-        if isinstance(item, AssessedState):
-            recording.joint_states += 1
-            advance(share)
-            validator.add_decision(item.decision, item.log_time_ns)
-            continue
-        value = item.value._replace(simulated=item.value.simulated or recording.simulated)
-        force_ns = item.log_time_ns
-        recording.count(value)
-        if isinstance(value, ForceBlock):
-            recording.lost_samples += lost_before(value, before)
-            before = value
-            validator.add_force(value, force_ns)
-        for impact in _impacts(detector, value):
-            validator.add_impact(impact, force_ns)
-    recording.joint_states += monitor.ignored
-    for impact in detector.finish():
-        validator.add_impact(impact, force_ns)
-    recording.dropouts, recording.glitches = detector.dropouts, detector.glitches
-    recording.sustained_contacts = detector.sustained_contacts
-    recording.left_out = tuple(detector.left_out)
-    losses.extend(bag.losses)
-    recording.losses = tuple(losses)
-    return recording
 
 
 def _impacts(detector: Detector, value: ForceBlock | Impact) -> Sequence[Impact]:
@@ -308,15 +297,6 @@ def _on_joint_clock(
         return Measurement(stamp_ns + round(span_s * NS) + lag_ns, value)
 
     return (moved(value) for _, value in measured)
-
-
-def _set_runs(validator: Validator, settings: ValidationSettings, infos: Sequence[RunInfo]) -> None:
-    """Set the obstacle masses and configurations of a recording, in place of those of the previous one."""
-    defaults, mass = settings.validator, settings.obstacle_mass
-    initial_mass = defaults.obstacle_mass if mass is None else mass
-    validator.runs.set(0, initial_mass, defaults.configuration)
-    for info in infos:
-        validator.runs.begin(info if mass is None else info._replace(obstacle_mass=mass), 0)
 
 
 def run_infos(bag: Bag) -> list[RunInfo]:

@@ -4,7 +4,6 @@
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
-from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from scara_effmass import __version__
-from scara_effmass.analysis.forces import AFTER_S, shown
+from scara_effmass.analysis.forces import AFTER_S, ShownTrace
+from scara_effmass.analysis.output import json_types
 from scara_effmass.analysis.report import (
     ENGLISH_PAGE,
     INK,
@@ -121,21 +121,13 @@ def summary_lines(validation: Validation) -> Iterator[tuple[str, str]]:
             yield "", f"mass scale by the torques in motion {by_motion.text}"
     yield "clocks", clock_text(result)
     yield "comparison", result.comparison.text
-    yield from _left_out_lines(validation)
-
-
-def _left_out_lines(validation: Validation) -> Iterator[tuple[str, str]]:
-    """Yield subject and text of each line about what is not in the series."""
-    result = validation.result
     for subject, counts in (("excluded", result.excluded), ("not paired", result.unpaired)):
         for reason in counts:
-            yield subject, left_out_text(refused_peak(result, reason))
-    for recording in validation.recordings:
-        for item in recording.left_out:
-            yield "no impact", left_out_text(item)
-    for recording in validation.recordings:
-        for loss in recording.losses:
-            yield "not read", loss
+            refused = [impact for impact in result.refused if impact.reason == reason]
+            largest = max(refused, key=lambda impact: impact.peak_force)
+            yield subject, left_out_text(LeftOut(reason, len(refused), largest.peak_force, largest.stamp_ns))
+    yield from (("no impact", left_out_text(item)) for part in validation.recordings for item in part.left_out)
+    yield from (("not read", loss) for part in validation.recordings for loss in part.losses)
 
 
 def fit_text(model: ModelResult) -> str:
@@ -174,14 +166,9 @@ def limit_text(result: Result) -> str:
     if worst is None:
         peak = max((impact.peak_force for impact in result.refused), default=0.0)
         return f"no peak could be converted to a body region; largest measured peak {peak:.0f} N" if peak else NO_FORCE
-    above = f"{above_limit(result)} of {len(result.impacts)} impacts above the limit"
+    above = f"{sum(impact.exceeds_limit for impact in result.impacts)} of {len(result.impacts)} impacts above the limit"
     largest = f"largest {at_least(worst.region_force, 0)} N of {at_most(worst.limit_force, 0)} N ({worst.body_region})"
     return f"{above}; {largest}, converted from a measured peak of {worst.measured_force:.0f} N"
-
-
-def above_limit(result: Result) -> int:
-    """Return the number of impacts in the series with a force on a body region above its limit."""
-    return sum(impact.exceeds_limit for impact in result.impacts)
 
 
 def held_text(result: Result) -> str:
@@ -203,16 +190,9 @@ def impacts_text(result: Result) -> str:
     return "; ".join(parts)
 
 
-def refused_peak(result: Result, reason: str) -> LeftOut:
-    """Return how many impacts were refused for `reason`, and the largest peak."""
-    impacts = [impact for impact in result.refused if impact.reason == reason]
-    largest = max(impacts, key=lambda impact: impact.peak_force)
-    return LeftOut(reason, len(impacts), largest.peak_force, largest.stamp_ns)
-
-
 def record(validation: Validation, settings: ValidationSettings, robot: Robot) -> dict[str, Any]:
     """Return all results with settings and robot as JSON types, in SI units; numbers are finite or null."""
-    result = _plain(validation.result)
+    result = json_types(validation.result)
     return {
         "models": [
             {"model": model.pop("model"), **model.pop("overall"), **model.pop("fit"), **model}
@@ -225,7 +205,7 @@ def record(validation: Validation, settings: ValidationSettings, robot: Robot) -
         "impacts": [
             {"recording": name, **impact} for name, impact in zip(validation.names(), result["impacts"], strict=True)
         ],
-        "recordings": [_plain(recording, without="impacts") for recording in validation.recordings],
+        "recordings": [json_types(recording, without="impacts") for recording in validation.recordings],
         "criterion": settings.validator.criterion.model_dump(mode="json"),
         "settings": {
             "monitor": settings.monitor.model_dump(mode="json"),
@@ -294,17 +274,12 @@ def _page(
         period=(stamps[0], stamps[-1]) if stamps else None,
         regions=list(_regions(validation, settings)),
         traces=[
-            item
-            for name, impact, trace in zip(validation.names(), result.impacts, traces, strict=False)
-            for item in shown(
-                name,
-                impact.stamp_ns,
-                trace,
-                simulated=impact.simulated,
-                peak=impact.measured_force,
-                predicted=impact.predicted_force,
-                speed=impact.speed,
+            ShownTrace(
+                *(name, impact.stamp_ns, trace, impact.simulated),
+                *(impact.measured_force, impact.predicted_force, impact.speed),
             )
+            for name, impact, trace in zip(validation.names(), result.impacts, traces, strict=False)
+            if trace.reaches_onset
         ],
         sampling_loss=max(losses, default=None),
         mass_heads=tuple(f"m_n {model} [kg]" for model in models),
@@ -351,22 +326,6 @@ def _regions(validation: Validation, settings: ValidationSettings) -> Iterator[t
             for impact in validation.result.impacts
         ]
         yield limit, max(forces, default=None)
-
-
-def _plain(value: Any, without: str = "") -> Any:  # noqa: ANN401 - any part of a result
-    """Return `value` as JSON types; named tuples and dataclasses become objects, without the field `without`."""
-    if is_dataclass(value):
-        value = {field.name: getattr(value, field.name) for field in fields(value)}
-    elif hasattr(value, "_asdict"):
-        value = value._asdict()
-    if isinstance(value, dict):
-        named = ((f"{key:g}" if isinstance(key, float) else str(key), item) for key, item in value.items())
-        return {key: _plain(item) for key, item in named if key != without}
-    if isinstance(value, tuple | list):
-        return [_plain(item) for item in value]
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return value if value is None or isinstance(value, bool | int | str) else str(value)
 
 
 class Marks:

@@ -11,7 +11,7 @@ from matplotlib.image import imread
 from scara_effmass.analysis.forces import RecordedForce
 from scara_effmass.analysis.report import report_figure
 from scara_effmass.analysis.run_report import draw_run
-from scara_effmass.analysis.time_series import TimeSeries, TimeSeriesBuilder
+from scara_effmass.analysis.time_series import ROW, TimeSeries, TimeSeriesBuilder
 from scara_effmass.safety import unknown_contact
 from scara_effmass.values import Impact, Verdict
 from test.decisions import decision_on, states_of
@@ -24,22 +24,13 @@ def run(seconds: float = 10.0, *, max_mass: float = 3.0, full: bool = True, gap:
     mass = 1.5 + 0.5 * np.cos(t)
     speed = 0.5 + 0.3 * np.sin(t)
     speed[len(t) // 3], mass[len(t) // 3] = 2.0, max_mass
-    return TimeSeries(
-        start_ns=0,
-        changes={},
-        mass_models=Counter(),
-        regions=("",),
-        time=t,
-        verdict=np.where(speed > 1.0, Verdict.VIOLATION, Verdict.OK).astype(np.int32),
-        body_region=np.zeros(len(t), np.int32),
-        speed=speed,
-        allowable_speed=np.ones_like(t),
-        margin=1.0 - speed,
-        effective_mass=mass,
-        lumped_mass=mass,
-        full_mass=0.9 * mass if full else mass * np.nan,
-        iso_mass=np.full_like(t, 2.77),
-    )
+    rows = np.zeros(len(t), ROW)
+    rows["stamp_ns"] = np.rint(t * 1e9)
+    rows["verdict"] = np.where(speed > 1.0, Verdict.VIOLATION, Verdict.OK)
+    rows["speed"], rows["allowable_speed"], rows["margin"] = speed, 1.0, 1.0 - speed
+    rows["effective_mass"] = rows["lumped_mass"] = mass
+    rows["full_mass"], rows["iso_mass"] = 0.9 * mass if full else np.nan, 2.77
+    return TimeSeries({}, Counter(), ("",), rows)
 
 
 def draw(series: TimeSeries, model: str = "lumped") -> Figure:
@@ -101,7 +92,7 @@ def test_force_panel_shows_force_and_impacts() -> None:
     impact = Impact(5_000_000_000, "cell", 90.0, 2e-3, 0.1, 640.0, *(False, False, 0, 0.0, 0.1, 0.0, "test", False))
     clipped = impact._replace(stamp_ns=7_000_000_000, peak_force=40.0, clipped=True)
     forces = RecordedForce(
-        stamp_ns, np.linspace(0.0, 90.0, 100), 1, 0, simulated=True, source="test", impacts=(impact, clipped)
+        stamp_ns, np.linspace(0.0, 90.0, 100), 0, 1, simulated=True, source="test", impacts=(impact, clipped)
     )
     figure = draw_run(run(), title="", subtitle="", mass_model="lumped", timeout=0.2, forces=forces)
     assert len(figure.axes) == 4

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from scara_effmass.analysis.forces import ForceTrace, file_traces, read_force, shown
+from scara_effmass.analysis.forces import ForceTrace, file_traces, read_force
 from scara_effmass.bags.batches import LossLog
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
@@ -91,8 +91,7 @@ def test_no_trace_of_a_file_is_complete_of_which_a_part_cannot_be_read(tmp_path:
 
 @pytest.mark.parametrize("end", [-1e-3, 0.0])
 def test_trace_that_ends_before_its_impact_is_not_shown(end: float) -> None:
-    trace = ForceTrace(np.linspace(end - 5e-3, end, 6), np.zeros(6))
-    assert not shown("", START_NS, trace, simulated=True, peak=10.0)
+    assert not ForceTrace(np.linspace(end - 5e-3, end, 6), np.zeros(6)).reaches_onset
 
 
 def test_recording_without_force_gives_none() -> None:

@@ -45,9 +45,9 @@ def test_assessments_are_in_order_of_their_stamps() -> None:
     builder.add(states_of(early, log_time_ns=1_001_000_000), 0)
     kept = builder.build()
     assert kept.time.tolist() == [0.0, 2.0]
-    assert kept.speed.tolist() == [0.2, 0.5]
-    assert kept.iso_mass.tolist() == [2.77, 2.77]
-    assert np.isnan(kept.full_mass).all()
+    assert kept.rows["speed"].tolist() == [0.2, 0.5]
+    assert kept.rows["iso_mass"].tolist() == [2.77, 2.77]
+    assert np.isnan(kept.rows["full_mass"]).all()
     assert {index: change.reason for index, change in kept.changes.items()} == {1: "late", 0: "early"}
 
 
@@ -59,11 +59,11 @@ def test_unknown_values_are_nan() -> None:
     builder.add(states_of(decision_on(held, stamp_ns=2_000_000_000), log_time_ns=2_001_000_000), 0)
     kept = builder.build()
     assert kept.time.tolist() == [0.0, 1.0]
-    assert np.isnan(kept.speed[0])
-    assert np.isnan(kept.effective_mass[0])
-    assert kept.speed[1] == 0.2
-    assert np.isnan(kept.allowable_speed).all()
-    assert np.isnan(kept.margin).all()
+    assert np.isnan(kept.rows["speed"][0])
+    assert np.isnan(kept.rows["effective_mass"][0])
+    assert kept.rows["speed"][1] == 0.2
+    assert np.isnan(kept.rows["allowable_speed"]).all()
+    assert np.isnan(kept.rows["margin"]).all()
 
 
 def test_an_empty_time_series_has_no_intervals() -> None:
