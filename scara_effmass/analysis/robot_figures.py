@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import matplotlib as mpl
 import numpy as np
 from matplotlib.artist import Artist
@@ -44,9 +42,8 @@ def draw_hulls(robot: Robot) -> Figure:
             frame = robot.model.frames[index]
             if name in robot.hulls:
                 faces = _placed(poses, frame.parentJoint, triangles(robot.hulls[name]))
-                style: dict[str, Any] = {"facecolor": color, "edgecolor": INK, "linewidth": 0.3, "alpha": 0.35}
-                axes.add_collection(Poly3DCollection(faces, **style))
-                shown.append(Patch(label=name, **style))
+                axes.add_collection(Poly3DCollection(faces, facecolors=color, shade=True, linewidth=0.0, alpha=0.35))
+                shown.append(Patch(label=name, facecolor=color, alpha=0.35))
                 parts.append(faces.reshape(-1, 3))
             else:
                 parts.append(_placed(poses, frame.parentJoint, frame.placement.translation[None]))
@@ -64,7 +61,7 @@ def draw_masses(robot: Robot, lumped: LumpedModel) -> Figure:
     everything = np.vstack([origins, *(at for _, at in masses)])
     reach = float(np.ptp(everything, axis=0).max()) / 8.0
     with mpl.rc_context(STYLE):
-        figure = new_figure(8.0, 7.5, f"Lumped masses of {robot.name}")
+        figure = new_figure(9.5, 7.5, f"Lumped masses of {robot.name}")
         axes = figure.add_subplot(projection="3d")
         axes.plot(*origins.T, color=CYCLE[0], linewidth=4.0, alpha=0.5, label="joint origins, base to tip")
         for joint in range(1, robot.model.njoints):
@@ -79,7 +76,7 @@ def draw_masses(robot: Robot, lumped: LumpedModel) -> Figure:
         for key, label in labels.items():
             axes.text(*key, label.replace("kg   ", "kg\n   "), fontsize=8.5, va="center")
         _set_equal_axes(axes, everything)
-        axes.legend(loc="upper right")
+        axes.legend(loc="center left", bbox_to_anchor=(1.12, 0.5))
     return figure
 
 
