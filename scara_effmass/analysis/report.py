@@ -14,6 +14,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from functools import lru_cache
 from io import BytesIO
 from itertools import cycle, islice
+from operator import attrgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -96,16 +97,22 @@ def patterns(language: str) -> list[tuple[re.Pattern[str], str]]:
 
 
 def translated(text: str, language: str) -> str | None:
-    """Return `text` in `language`, its numbers in the same order, or None if the catalogue lacks it."""
+    """Return `text` in `language`, its numbers in the same order, or None if the catalogue lacks it.
+
+    What stands in brackets behind a text that the catalogue has is translated if it has that, too.
+    """
     if language == ENGLISH:
         return text
     known = None if "…" in text else catalogue(language).get(_NUMBER.sub("…", text))
-    if known is None:
-        found = ((pattern.fullmatch(text), known) for pattern, known in patterns(language))
-        match, known = next((pair for pair in found if pair[0]), (None, ""))
-        return known.format(*(translated(part, language) or part for part in match.groups())) if match else None
-    numbers = (match.group() for match in _NUMBER.finditer(text))
-    return re.sub("…", lambda _: next(numbers), known)
+    if known is not None:
+        numbers = (match.group() for match in _NUMBER.finditer(text))
+        return re.sub("…", lambda _: next(numbers), known)
+    for pattern, known in patterns(language):
+        if match := pattern.fullmatch(text):
+            return known.format(*(translated(part, language) or part for part in match.groups()))
+    head, _, bracket = text.removesuffix(")").partition(" (")
+    before = translated(head, language) if bracket and text.endswith(")") else None
+    return None if before is None else f"{before} ({translated(bracket, language) or bracket})"
 
 
 def phrases(text: str, language: str) -> Iterator[tuple[str, bool]]:
@@ -182,11 +189,8 @@ def setting_rows(
     section: str, settings: BaseModel, chosen: Iterable[str] | None = None, *, changed_only: bool = False
 ) -> Iterator[tuple[str, object, str]]:
     """Yield name, value and description of the settings whose names contain one of `chosen`, or of all."""
-    fields = flat_fields(type(settings))
-    for name, field in fields.items():
-        value: object = settings
-        for key in name.split("."):
-            value = getattr(value, key)
+    for name, field in flat_fields(type(settings)).items():
+        value = attrgetter(name)(settings)
         is_chosen = chosen is None or any(part in name for part in chosen)
         if is_chosen and not (changed_only and value == field.default):
             text = getattr(value, "value", value)

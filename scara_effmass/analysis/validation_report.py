@@ -3,7 +3,8 @@
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -60,8 +61,6 @@ UNITS = {
     "clock_offset": "s",
     "stamp_ns": "ns, ROS time",
 }
-LINEAR = 1.0
-"""Exponent of a linear spring."""
 NO_FORCE = "no force to compare"
 NO_IMPACT = "no impact could be paired with the robot"
 MARKERS = "os^Dv<>pX*"
@@ -220,36 +219,6 @@ def record(validation: Validation, settings: ValidationSettings, robot: Robot) -
     }
 
 
-def deviations(validation: Validation) -> list[tuple[str, int, float, float]]:
-    """Return quantity, number of impacts, and mean and largest deviation of the estimates from the true values.
-
-    A deviation is estimate / true value - 1, in a recording of a single impact that states the true values.
-    """
-    by_quantity: dict[str, list[float]] = defaultdict(list)
-    for recording in validation.recordings:
-        if len(recording.impacts) != 1 or len(recording.infos) != 1:
-            continue
-        impact, info = recording.impacts[0], recording.infos[0]
-        if all(0.0 < value < math.inf for value in (info.true_speed, info.true_effective_mass, info.true_peak_force)):
-            by_quantity["speed at the onset"].append(impact.speed / info.true_speed - 1.0)
-            by_quantity["peak force"].append(impact.measured_force / info.true_peak_force - 1.0)
-            for prediction in impact.predictions:
-                deviation = prediction.effective_mass / info.true_effective_mass - 1.0
-                by_quantity[f"effective mass, {prediction.model}"].append(deviation)
-    return [
-        (quantity, len(values), sum(values) / len(values), max(values, key=abs))
-        for quantity, values in by_quantity.items()
-    ]
-
-
-def stated_stiffness(validation: Validation) -> float | None:
-    """Return the stiffness [N/m] of the simulated contact, None if it is unknown, not unique, or not linear."""
-    infos = [info for recording in validation.recordings for info in recording.infos]
-    contacts = {(info.contact_stiffness, info.contact_exponent) for info in infos}
-    ((stiffness, exponent),) = contacts if len(contacts) == 1 else ((0.0, 0.0),)
-    return stiffness if exponent == LINEAR and 0.0 < stiffness < math.inf else None
-
-
 def _page(
     validation: Validation, figures: list[ReportFigure], settings: ValidationSettings, robot: Robot, language: str
 ) -> str:
@@ -288,8 +257,6 @@ def _page(
             (name, impact, [by_model.get(model) for model in models])
             for name, impact, by_model in zip(validation.names(), result.impacts, predictions, strict=True)
         ],
-        deviations=deviations(validation),
-        stated_stiffness=stated_stiffness(validation),
         clock_text=clock_text(result),
         worst=worst_impact(result),
         rebounds=result.excluded.get(REBOUND, 0),
@@ -329,45 +296,36 @@ def _regions(validation: Validation, settings: ValidationSettings) -> Iterator[t
 
 
 class Marks:
-    """Marker style of each impact of a series.
+    """Marks of the impacts of a series.
 
-    `configurations` are in the order of their mean effective mass, `obstacle_masses` [kg] ascending.
+    `markers` are those of the configurations, in the order of their mean effective mass, `shades` the colours of the
+    obstacle masses [kg], ascending.
     """
 
-    def __init__(self, impacts: Iterable[ValidatedImpact]) -> None:
-        masses: dict[str, list[float]] = {}
-        obstacle_masses = set()
+    def __init__(self, impacts: Sequence[ValidatedImpact]) -> None:
+        by_configuration = defaultdict[str, list[float]](list)
         for impact in impacts:
-            masses.setdefault(impact.configuration, []).append(impact.effective_mass)
-            obstacle_masses.add(impact.obstacle_mass)
-        self.configurations = sorted(masses, key=lambda name: (float(np.mean(masses[name])), name))
-        self.obstacle_masses = sorted(obstacle_masses)
-
-    def marker(self, configuration: str) -> str:
-        """Return the marker of a configuration."""
-        return MARKERS[self.configurations.index(configuration) % len(MARKERS)]
+            by_configuration[impact.configuration].append(impact.effective_mass)
+        order = sorted(by_configuration, key=lambda name: (_mean(by_configuration[name]), name))
+        self.markers = dict(zip(order, cycle(MARKERS), strict=False))
+        masses = sorted({impact.obstacle_mass for impact in impacts})
+        self.shades = {mass: color(number, len(masses)) for number, mass in enumerate(masses)}
 
     def scatter(self, axes: Axes, impacts: Iterable[ValidatedImpact], points: Iterable[tuple[float, float]]) -> None:
         """Draw one point for each impact."""
         for impact, (x, y) in zip(impacts, points, strict=True):
-            shade = color(self.obstacle_masses.index(impact.obstacle_mass), len(self.obstacle_masses))
-            axes.plot(x, y, self.marker(impact.configuration), color=shade, markersize=6.0, alpha=0.85, zorder=2)
+            marker, shade = self.markers[impact.configuration], self.shades[impact.obstacle_mass]
+            axes.plot(x, y, marker, color=shade, markersize=6.0, alpha=0.85, zorder=2)
         axes.grid(alpha=0.3)
 
     def legend(self, figure: Figure, *lines: Line2D) -> None:
         """Draw the legend of the markers and `lines` beside the axes."""
-        count = len(self.obstacle_masses)
-        handles = [*lines, Line2D([], [], color="none", label="$m_H$ [kg]")]
-        handles += [
-            Line2D([], [], linestyle="none", marker="o", color=color(number, count), label=f"{mass:g}")
-            for number, mass in enumerate(self.obstacle_masses)
-        ]
-        handles.append(Line2D([], [], color="none", label="configuration"))
-        handles += [
-            Line2D([], [], linestyle="none", marker=self.marker(name), color=GREY, label=configuration_label(name))
-            for name in self.configurations
-        ]
-        figure.legend(handles=handles, loc="outside right upper")
+        marks: list[tuple[str, str, Any]] = [("$m_H$ [kg]", "", "none")]
+        marks += [(f"{mass:g}", "o", shade) for mass, shade in self.shades.items()]
+        marks.append(("configuration", "", "none"))
+        marks += [(configuration_label(name), marker, GREY) for name, marker in self.markers.items()]
+        handles = [Line2D([], [], linestyle="none", marker=m, color=shade, label=label) for label, m, shade in marks]
+        figure.legend(handles=[*lines, *handles], loc="outside right upper")
 
 
 def color(number: int, count: int) -> tuple[float, float, float, float]:
@@ -468,10 +426,10 @@ def draw_masses(result: Result) -> Figure:
     if not result.impacts:
         return figure
     handles = []
-    for number, name in enumerate(marks.configurations):
+    for number, (name, marker) in enumerate(marks.markers.items()):
         impacts = [impact for impact in result.impacts if impact.configuration == name]
         masses = sorted({impact.obstacle_mass for impact in impacts})
-        marker, shade = marks.marker(name), color(number, len(marks.configurations))
+        shade = color(number, len(marks.markers))
         measured, predicted = (
             [_mean(getattr(impact, field) for impact in impacts if impact.obstacle_mass == mass) for mass in masses]
             for field in ("measured_force", "predicted_force")
