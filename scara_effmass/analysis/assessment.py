@@ -17,19 +17,17 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scara_effmass.bags.bag import Bag, first_run_info
 from scara_effmass.bags.batches import IntArray, JointStateBlock
 from scara_effmass.bags.files import open_bag
 from scara_effmass.codes import Reason
 from scara_effmass.errors import BagError, CrossCheckError, SettingsError
-from scara_effmass.kernel.records import FIELDS
 from scara_effmass.safety import Assessments, Monitor
 from scara_effmass.safety.assessments import joined
 from scara_effmass.safety.monitor import Pending
 from scara_effmass.settings import MonitorSettings, VelocitySource
-from scara_effmass.values import BoolArray, Decision, FloatArray, JointState, Payload
+from scara_effmass.values import Decision, FloatArray, JointState, Payload
 from scara_effmass.wire.message_types import INERTIA
 from scara_effmass.wire.payload import decode_payload
 from scara_effmass.wire.topics import JOINT_COMMANDS
@@ -116,21 +114,24 @@ def joint_state_topic(bag: Bag, requested: str | None) -> str:
 
     Raises BagError, which lists the candidates, if no topic or several topics match.
     """
-    topics = bag.joint_state_topics
-    if requested is not None:
-        names = [requested]
-    elif "/joint_states" in topics:
-        names = ["/joint_states"]
-    else:
-        names = list(topics)
+    if not bag.joint_state_topics:
+        raise BagError(f"{bag.path}: no topic holds joint states (sensor_msgs/JointState)")
+    return chosen_topic(bag, bag.joint_state_topics, requested or "", "joint_states", "joint states", "--topic")
+
+
+def chosen_topic(bag: Bag, topics: Sequence[str], requested: str, usual: str, content: str, option: str) -> str:
+    """Return the `requested` one of `topics`, which hold `content`; else the `usual` one, else the only one.
+
+    Raises BagError, which lists them.
+    """
     # ROS 1 recorders omit the leading slash, and so do users.
-    matches = [topic for topic in topics if topic.lstrip("/") in {name.lstrip("/") for name in names}]
+    matches = [topic for topic in topics if topic.lstrip("/") == (requested or usual).lstrip("/")]
+    if not (matches or requested):
+        matches = list(topics)
     if len(matches) == 1:
         return matches[0]
-    if not topics:
-        raise BagError(f"{bag.path}: no topic holds joint states (sensor_msgs/JointState)")
-    problem = "several topics hold joint states" if requested is None else f"no joint states on {requested}"
-    raise BagError(f"{bag.path}: {problem}; --topic must be one of {', '.join(topics)}")
+    problem = f"no {content} on {requested}" if requested else f"several topics hold {content}"
+    raise BagError(f"{bag.path}: {problem}; {option} must be one of {', '.join(topics)}")
 
 
 def assess_joint_states(
@@ -411,44 +412,29 @@ def cross_checked(
     for own, other in zip_longest(states, reference):
         if own is None or other is None or len(own) != len(other):
             raise CrossCheckError(f"{source}: cross-check: the number of joint states differs from the monitor's")
-        if difference := first_difference(own, other):
-            row, text = difference
-            where = f"joint state {count + row + 1} at {own.log_time_ns[row]} ns"
-            raise CrossCheckError(f"{source}: cross-check: {where}: {text} by the monitor")
-        count += len(own)
+        for row, expected in zip(own.rows(), other.rows(), strict=True):
+            count += 1
+            for (name, value), (_, reference_value) in zip(_values(row), _values(expected), strict=True):
+                if _differs(value, reference_value):
+                    where = f"joint state {count} at {row.log_time_ns} ns"
+                    text = f"{name} = {value!r}, but {reference_value!r} by the monitor"
+                    raise CrossCheckError(f"{source}: cross-check: {where}: {text}")
         yield own
 
 
-def first_difference(states: AssessedStates, reference: AssessedStates) -> tuple[int, str] | None:
-    """Return the first row in which `states` differs from `reference`, and the difference in words."""
-    found = []
-    for (name, own), (_, other) in zip(_columns(states), _columns(reference), strict=True):
-        differs = _differs(own, other)
-        if differs.any():
-            row = int(differs.argmax())
-            values = (column[row : row + 1].tolist()[0] for column in (own, other))
-            found.append((row, "{} = {!r}, but {!r}".format(name, *values)))
-    return min(found, key=lambda difference: difference[0], default=None)
+def _values(row: AssessedState) -> Iterator[tuple[str, Any]]:
+    """Yield name and value of all that was assessed at a joint state."""
+    yield "log_time_ns", row.log_time_ns
+    yield from ((name, value) for name, value in row.decision._asdict().items() if name != "contacts")
+    for contact in row.decision.contacts:
+        yield from ((f"{contact.contact_point}: {name}", value) for name, value in contact._asdict().items())
 
 
-def _differs(own: NDArray[Any], other: NDArray[Any]) -> BoolArray:
-    """Return which rows differ (m,)."""
-    if own.dtype.kind != "f":
-        return np.asarray(own != other)
-    with np.errstate(invalid="ignore"):
-        is_close = np.abs(own - other) <= TOLERANCE * np.maximum(1.0, np.abs(other))
-    is_equal = (own == other) | (np.isnan(own) & np.isnan(other)) | is_close
-    return np.asarray(~is_equal.reshape(len(own), -1).all(axis=1))
-
-
-def _columns(states: AssessedStates) -> Iterator[tuple[str, NDArray[Any]]]:
-    assessments = states.assessments
-    yield "log_time_ns", states.log_time_ns
-    for name in ("stamp_ns", "age", "delay", "is_admitted"):
-        yield name, assessments.states[name]
-    for point, contact in enumerate(assessments.points):
-        indices, texts = assessments.reasons(point)
-        yield f"{contact}: reason", np.array(texts, object)[indices]
-        for name in FIELDS:
-            if name != "reason":
-                yield f"{contact}: {name}", assessments.contacts[name][:, point]
+def _differs(own: Any, other: Any) -> bool:  # noqa: ANN401 - any value of a decision
+    """Return whether two values differ; numbers by more than TOLERANCE."""
+    if isinstance(own, tuple) and len(own) == len(other):
+        return any(map(_differs, own, other))
+    if isinstance(own, float) and own != other:
+        is_nan = math.isnan(own) and math.isnan(other)
+        return not (is_nan or abs(own - other) <= TOLERANCE * max(1.0, abs(other)))
+    return bool(own != other)

@@ -97,15 +97,12 @@ class Coverage(BaseModel):
 
     def extend(self, other: Coverage, path: Path) -> None:
         """Add the coverage `other`, which belongs to `path`. Raises SettingsError as `merge` does."""
-        own_bins, other_bins = (
-            {name: len(bins) for name, bins in coverage.counts.items()} for coverage in (self, other)
+        expected, value = (
+            (coverage.robot, coverage.ranges, {name: len(bins) for name, bins in coverage.counts.items()})
+            for coverage in (self, other)
         )
-        for text, expected, value in (
-            ("robot and ranges", (self.robot, self.ranges), (other.robot, other.ranges)),
-            ("bins", own_bins, other_bins),
-        ):
-            if value != expected:
-                raise SettingsError(f"{path}: {text} = {value}: must be {expected}")
+        if value != expected:
+            raise SettingsError(f"{path}: robot, ranges and bins = {value}: must be {expected}")
         for recording in other.recordings:
             self.begin(recording)
         for name, bins in self.counts.items():

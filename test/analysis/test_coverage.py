@@ -106,8 +106,8 @@ def test_recording_counts_once(dynamics: RobotDynamics, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "rule"),
     [
-        ({"robot": "other"}, "robot and ranges = "),
-        ({"counts": {"position joint1": [1]}}, "bins = "),
+        ({"robot": "other"}, "robot, ranges and bins = "),
+        ({"counts": {"position joint1": [1]}}, "robot, ranges and bins = "),
         ({"joint_states": -1}, "joint_states = -1"),
         ({"counts": 5}, "counts = 5"),
     ],
