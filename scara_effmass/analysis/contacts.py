@@ -38,6 +38,12 @@ class RecordedContacts:
     losses: tuple[str, ...]
     doubts: tuple[str, ...] = ()
 
+    @property
+    def force_text(self) -> str:
+        """The force in one line."""
+        origin = "simulated, not measured" if self.simulated else "as recorded"
+        return f"{self.samples} samples, {self.lost_samples} lost; {origin}: {self.source}"
+
     def as_dict(self) -> dict[str, Any]:
         """Return everything as JSON types, in SI units, with times since the beginning of the recording."""
         contacts = [

@@ -5,12 +5,12 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scara_effmass.analysis.summary import iso_time
+from scara_effmass.analysis.assessment import chosen_topic
 from scara_effmass.analysis.time_series import decimate
 from scara_effmass.bags.bag import Bag
 from scara_effmass.bags.batches import LossLog, Topic
@@ -54,36 +54,8 @@ class RecordedForce(NamedTuple):
 
     stamp_ns: NDArray[np.int64]
     force: FloatArray
-    lost: int
-    blocks: int
     simulated: bool
-    source: str
     impacts: tuple[Impact, ...]
-
-    def lines(self) -> Iterator[tuple[str, str]]:
-        """Yield subject and text of the force and of each impact."""
-        samples = np.isfinite(self.force).sum()
-        origin = "simulated, not measured" if self.simulated else "as recorded"
-        yield "force", f"{self.blocks} blocks, {samples} samples, {self.lost} lost; {origin}: {self.source}"
-        for impact in self.impacts:
-            text = f"{impact.peak_force:.1f} N, {1e3 * impact.duration:.2f} ms, {impact.impulse:.4f} N s"
-            marks = {
-                f"rebound {impact.rebound}": impact.rebound,
-                "clipped": impact.clipped,
-                "incomplete": impact.incomplete,
-            }
-            parts = [text, *(mark for mark, is_set in marks.items() if is_set)]
-            yield "  impact", f"at {iso_time(impact.stamp_ns)}: {', '.join(parts)}"
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the force and its impacts for JSON."""
-        return {
-            "source": self.source,
-            "simulated": self.simulated,
-            "blocks": self.blocks,
-            "lost_samples": self.lost,
-            "impacts": [impact._asdict() for impact in self.impacts],
-        }
 
 
 def read_force(bag: Bag) -> RecordedForce | None:
@@ -96,25 +68,21 @@ def read_force(bag: Bag) -> RecordedForce | None:
         return None
     return RecordedForce(
         *_samples(blocks),
-        blocks=len(blocks),
         simulated=any(block.simulated for block in blocks),
-        source=blocks[-1].source,
         impacts=tuple(bag.impacts(impact_topic)) if impact_topic else detected_impacts(blocks),
     )
 
 
-def _samples(blocks: Sequence[ForceBlock]) -> tuple[NDArray[np.int64], FloatArray, int]:
-    """Return stamps [ns] and forces [N] of `blocks` (n,), with one NaN in each gap, and the number of lost samples."""
-    stamps, forces, lost = [], [], 0
+def _samples(blocks: Sequence[ForceBlock]) -> tuple[NDArray[np.int64], FloatArray]:
+    """Return stamps [ns] and forces [N] of `blocks` (n,), with one NaN in each gap."""
+    stamps, forces = [], []
     for before, block in zip((None, *blocks), blocks, strict=False):
-        missing = lost_before(block, before)
-        lost += missing
-        if missing:
+        if lost_before(block, before):
             stamps.append(np.array([block.stamp_ns], np.int64))
             forces.append(np.array([NAN]))
         stamps.append(block.stamp_ns + np.rint(np.arange(len(block.force)) / block.sample_rate * NS).astype(np.int64))
         forces.append(block.force)
-    return np.concatenate(stamps), np.concatenate(forces), lost
+    return np.concatenate(stamps), np.concatenate(forces)
 
 
 def lost_before(block: ForceBlock, before: ForceBlock | None) -> int:
@@ -127,30 +95,25 @@ def lost_before(block: ForceBlock, before: ForceBlock | None) -> int:
     )
 
 
-def detected_impacts(blocks: Iterable[ForceBlock]) -> tuple[Impact, ...]:
-    """Return the impacts that the detector finds in `blocks` with its default settings."""
-    detector = Detector(DetectionSettings())
-    return (*chain.from_iterable(map(detector.feed, blocks)), *detector.finish())
+def detected_impacts(values: Iterable[ForceBlock | Impact], detector: Detector | None = None) -> tuple[Impact, ...]:
+    """Return the impacts among `values`, and those that a new `detector` finds in the blocks, by default as usual."""
+    detector = detector or Detector(DetectionSettings())
+    found = (detector.feed(value) if isinstance(value, ForceBlock) else (value,) for value in values)
+    return (*chain.from_iterable(found), *detector.finish())
 
 
 def measurement_topic(bag: Bag, name: str) -> Topic:
     """Return the topic `name`, or without a name that of the first type in USUAL that the bag has.
 
-    Of several topics of that type, the one with the usual name is taken. Raises BagError, which lists the topics of all
-    these types, if none or several remain.
+    Of several topics of that type, the one with the usual name is taken. Raises BagError if none or several remain.
     """
     candidates = [topic for kind in USUAL for topic in bag.topics if topic.type == kind and topic.count]
     if not candidates:
         raise BagError(f"{bag.path}: must hold {FORCE_BLOCK} or {IMPACT}, as daq publishes them, or {WRENCH_STAMPED}")
-    preferred = [topic for topic in candidates if topic.type == candidates[0].type]
-    if name:
-        selected = [topic for topic in candidates if topic.name.lstrip("/") == name.lstrip("/")]
-    else:
-        selected = [topic for topic in preferred if topic.name.lstrip("/") == USUAL[topic.type]] or preferred
-    if len(selected) == 1:
-        return selected[0]
-    problem = f"no force on {name}" if name else "several topics hold the force"
-    raise BagError(f"{bag.path}: {problem}; give --force-topic one of {', '.join(topic.name for topic in candidates)}")
+    kind = candidates[0].type
+    names = [topic.name for topic in candidates if name or topic.type == kind]
+    chosen = chosen_topic(bag, names, name, USUAL[kind], "force", "--force-topic")
+    return next(topic for topic in candidates if topic.name == chosen)
 
 
 def file_measurements(path: Path, settings: ImportSettings, losses: LossLog) -> Iterator[Measurement]:
@@ -331,7 +294,7 @@ def file_rise_ns(path: Path, settings: ImportSettings) -> int | None:
     blocks = [value for value in values if isinstance(value, ForceBlock)]
     if not blocks:
         return None
-    stamps_ns, force, _ = _samples(blocks)
+    stamps_ns, force = _samples(blocks)
     is_finite = np.isfinite(force)
     stamps_ns, force = stamps_ns[is_finite], force[is_finite]
     if not len(force):

@@ -42,6 +42,7 @@ from scara_effmass.analysis.validation import ValidatedRecording, Validation
 from scara_effmass.bags.batches import LossLog
 from scara_effmass.errors import BagError, EffmassError, SettingsError
 from scara_effmass.impacts.agreement import region_force
+from scara_effmass.impacts.impact_matcher import PRESS
 from scara_effmass.input_files import digest
 from scara_effmass.iso15066 import TABLE_HASH, TRANSIENT_S, Limit, limits_for
 from scara_effmass.settings import ContactType, ImportSettings, MonitorSettings, checked
@@ -74,7 +75,9 @@ def repetitions(
     """
     contacts: list[Repetition] = []
     for recording in validation.recordings:
-        found = [*recording.impacts, *(recording.presses if presses else ())]
+        found: list[ValidatedImpact | RefusedImpact] = [*recording.impacts]
+        if presses:
+            found += [impact for impact in recording.refused if impact.reason == PRESS]
         contacts += _repetitions(recording, sorted(found, key=attrgetter("stamp_ns")), settings, folder)
     if not contacts:
         left_out = {**validation.result.excluded, **validation.result.unpaired}
@@ -466,7 +469,7 @@ def write_report(protocol: Protocol, path: Path, folder: Path, options: PageOpti
     contacts = [item for test in protocol.tests for item in test.results.repetitions]
     data = [path.parent / item.raw_data for item in contacts if item.raw_data]
     photos = [path.parent / name for test in protocol.tests for name in test.results.photos or ()]
-    curves = list(_curves(protocol, path.parent))
+    traces, notes = _curves(protocol, path.parent)
     devices = [(test, protocol.device(test)) for test in protocol.tests]
     page = render(
         "protocol.html",
@@ -475,8 +478,8 @@ def write_report(protocol: Protocol, path: Path, folder: Path, options: PageOpti
         verdict=content["verdict"],
         running=protocol.identity.robot_model or path.name,
         simulated=any(item.simulated for item in contacts),
-        traces=[item for item in curves if isinstance(item, ShownTrace)],
-        curve_notes=[item for item in curves if isinstance(item, CurveNote)],
+        traces=traces,
+        curve_notes=notes,
         photos=list(_photos(protocol, path.parent)),
         budgets=[(test.id, uncertainty(test, device) if device else None) for test, device in devices],
         files=file_hashes(Path(os.path.normpath(item)) for item in (path, *data, *photos)),
@@ -484,26 +487,22 @@ def write_report(protocol: Protocol, path: Path, folder: Path, options: PageOpti
     write_report_files(folder, {PAGE: page, RECORD: content}, options=options, overwrite=overwrite)
 
 
-class CurveNote(NamedTuple):
-    """What a report says about the curve of a contact, or why there is none."""
-
-    title: str
-    file: str
-    text: str
-
-
-def _curves(protocol: Protocol, folder: Path) -> Iterator[ShownTrace | CurveNote]:
-    """Yield the force over time of each contact, or why there is none."""
+def _curves(protocol: Protocol, folder: Path) -> tuple[list[ShownTrace], list[tuple[str, str, str]]]:
+    """Return the force over time of each contact, and remarks on contact and file, as why there is none."""
+    curves: list[ShownTrace] = []
+    notes: list[tuple[str, str, str]] = []
     for test in protocol.tests:
         for number, item, trace, remarks in _raw_contacts(test, folder, AFTER_S):
             title = f"{test.id}, {number}"
-            notes = [*remarks, trace] if isinstance(trace, str) else remarks
-            if not isinstance(trace, str) and trace.reaches_onset:
+            if isinstance(trace, str):
+                remarks.append(trace)
+            elif trace.reaches_onset:
                 values = item.transient_peak_n or 0.0, item.predicted_force_n, item.reached_speed_m_s
-                yield ShownTrace(title, _onset_ns(item), trace, bool(item.simulated), *values)
-            elif not isinstance(trace, str):
-                notes = [*notes, "no force at the time of the contact: state raw_offset_s"]
-            yield from (CurveNote(title, item.raw_data or "", text) for text in notes)
+                curves.append(ShownTrace(title, _onset_ns(item), trace, bool(item.simulated), *values))
+            else:
+                remarks.append("no force at the time of the contact: state raw_offset_s")
+            notes += [(title, item.raw_data or "", text) for text in remarks]
+    return curves, notes
 
 
 def _photos(protocol: Protocol, folder: Path) -> Iterator[tuple[str, str, str]]:

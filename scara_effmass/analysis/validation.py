@@ -21,6 +21,7 @@ from scara_effmass.analysis.assessment import AssessedState, Time, assessed_rows
 from scara_effmass.analysis.forces import (
     ForceTrace,
     Measurement,
+    detected_impacts,
     file_measurements,
     file_traces,
     lost_before,
@@ -34,7 +35,7 @@ from scara_effmass.bags.batches import LossLog
 from scara_effmass.bags.files import open_bag
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.impacts.detector import Detector
-from scara_effmass.impacts.impact_matcher import PRESS, check_run_info
+from scara_effmass.impacts.impact_matcher import check_run_info
 from scara_effmass.impacts.state_history import recording_offset
 from scara_effmass.impacts.validator import Result, Validator
 from scara_effmass.safety import Monitor
@@ -102,20 +103,14 @@ class ValidatedRecording:
         """The recording, and the file of the force if it is another one: the last is that of the force."""
         return (self.path, Path(self.force_topic)) if self.force_clock else (self.path,)
 
-    @property
-    def presses(self) -> list[RefusedImpact]:
-        """The contacts without an impact, whose force stayed."""
-        return [impact for impact in self.refused if impact.reason == PRESS]
-
     def force_traces(
         self, contacts: Sequence[ValidatedImpact | RefusedImpact], settings: ImportSettings, after_s: float
     ) -> list[ForceTrace]:
         """Return the force of each of the `contacts` in order, up to `after_s` after its onset. Raises BagError."""
         onsets = [contact.stamp_ns for contact in contacts]
-        if self.force_clock:
-            return file_traces(self.files[-1], settings, onsets, after_s, LossLog(), self.force_offset)
-        settings = settings.model_copy(update={"topic": self.force_topic})
-        return file_traces(self.path, settings, onsets, after_s, LossLog())
+        if not self.force_clock:
+            settings = settings.model_copy(update={"topic": self.force_topic})
+        return file_traces(self.files[-1], settings, onsets, after_s, LossLog(), self.force_offset)
 
     def count(self, value: ForceBlock | Impact) -> None:
         """Count a force block, without lost samples, or an impact."""
@@ -207,7 +202,7 @@ def validate_recording(
                 recording.lost_samples += lost_before(value, before)
                 before = value
                 validator.add_force(value, force_ns)
-            for impact in _impacts(detector, value):
+            for impact in detector.feed(value) if isinstance(value, ForceBlock) else (value,):
                 validator.add_impact(impact, force_ns)
         recording.joint_states += monitor.ignored
         for impact in detector.finish():
@@ -245,10 +240,6 @@ def with_motion(validation: Validation, dynamics: RobotDynamics, settings: Valid
     return validation._replace(by_motion=by_motion, no_motion=no_motion)
 
 
-def _impacts(detector: Detector, value: ForceBlock | Impact) -> Sequence[Impact]:
-    return detector.feed(value) if isinstance(value, ForceBlock) else (value,)
-
-
 def _on_joint_clock(
     measured: Sequence[Measurement],
     bag: Bag,
@@ -270,9 +261,8 @@ def _on_joint_clock(
             velocity.extend(contact.speed * component for component in contact.direction)
     offset_ns, origin = round((settings.force_offset or 0.0) * NS), "as given"
     if settings.force_offset is None:
-        detector = Detector(settings.detection)
-        impacts = [impact for item in measured for impact in _impacts(detector, item.value)] + detector.finish()
-        impacts = [impact for impact in impacts if not (impact.incomplete or impact.rebound)]
+        found = detected_impacts((item.value for item in measured), Detector(settings.detection))
+        impacts = [impact for impact in found if not (impact.incomplete or impact.rebound)]
         begin_ns, first_ns = (stamps_ns[0], impacts[0].stamp_ns) if stamps_ns and impacts else (0, 0)
         kink = recording_offset(
             np.array([(impact.stamp_ns - first_ns) / NS for impact in impacts]),

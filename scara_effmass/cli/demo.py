@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from scara_effmass.analysis.assessment import generated_description, joint_state_topic, payload_topics
-from scara_effmass.analysis.forces import read_force
+from scara_effmass.analysis.contacts import recorded_contacts
 from scara_effmass.analysis.output import check_output_files
 from scara_effmass.analysis.report import PAGE, PageOptions
 from scara_effmass.analysis.run_report import RunReport
@@ -34,7 +34,7 @@ from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.nodes.cell_client import CellClient
 from scara_effmass.nodes.replay_topics import JOINT_STATES
 from scara_effmass.reference import RobotDynamics
-from scara_effmass.settings import MonitorSettings, ValidatorSettings
+from scara_effmass.settings import DetectionSettings, ImportSettings, MonitorSettings, ValidatorSettings
 from scara_effmass.values import Decision, Verdict
 from scara_effmass.wire.message_types import FORCE_BLOCK, RUN_INFO
 
@@ -205,7 +205,8 @@ def _run_bag(args: argparse.Namespace, dynamics: RobotDynamics, settings: Monito
             hint = f"does {dynamics.robot.name} fit the recording?"
             raise EffmassError(f"{args.bag}: the monitor answered none of {sent} joint states; {hint}")
         with open_bag(recording) as bag:
-            forces = read_force(bag)
+            has_force = any(topic.type == FORCE_BLOCK and topic.count for topic in bag.topics)
+        force = recorded_contacts(recording, ImportSettings(), DetectionSettings()) if has_force else None
 
         def supplement(counts: Mapping[str, int]) -> tuple[list[tuple[str, str]], dict[str, Any]]:
             foreign = counts["foreign"]
@@ -218,10 +219,12 @@ def _run_bag(args: argparse.Namespace, dynamics: RobotDynamics, settings: Monito
             ]
             result = {"bag": str(args.bag), "sent": sent, "received": answered, "lost": lost}
             result |= {"live_cycles_by_verdict": verdicts}
-            result |= {"watchdog_messages": live.watchdog_messages, "force": forces and forces.as_dict()}
+            result |= {"watchdog_messages": live.watchdog_messages, "force": force and force.as_dict()}
             result |= {key: live.replayed[key] for key in ("late", "worst_lateness_s", "warnings")}
-            force_lines = forces.lines() if forces else ()
-            return [*introduction, *lines, *force_lines, *_bag_lines(live)], {**result, "recording": live.recorded}
+            if force:
+                texts = (f"at {at} s: {peak} N, {impulse} N s, {ms} ms" for at, peak, impulse, ms, *_ in force.rows())
+                lines += [("force", force.force_text), *(("  impact", text) for text in texts), *force.lines()]
+            return [*introduction, *lines, *_bag_lines(live)], {**result, "recording": live.recorded}
 
         # Not the new recording, whose log times are those of the recorder, which may lag behind the monitor.
         bag_path = _part(args, topics) if args.duration < math.inf else args.bag

@@ -29,9 +29,8 @@ def run(args: argparse.Namespace) -> int:
         print_json({"contacts": count, "recordings": [recording.as_dict() for recording in found]})
         return 0
     for recording in found:
-        origin = "simulated, not measured" if recording.simulated else "as recorded"
-        force = f"{recording.samples} samples, {recording.lost_samples} lost; {origin}: {recording.source}"
-        print_lines([("recording", recording.path), ("force", force), ("contacts", len(recording.contacts))])
+        lines = [("recording", recording.path), ("force", recording.force_text), ("contacts", len(recording.contacts))]
+        print_lines(lines)
         if recording.contacts:
             print_table("", HEADINGS, recording.rows())
         print_lines(recording.lines())

@@ -91,9 +91,7 @@ def test_force_panel_shows_force_and_impacts() -> None:
     stamp_ns = (np.arange(100) * 1e8).astype(np.int64)
     impact = Impact(5_000_000_000, "cell", 90.0, 2e-3, 0.1, 640.0, *(False, False, 0, 0.0, 0.1, 0.0, "test", False))
     clipped = impact._replace(stamp_ns=7_000_000_000, peak_force=40.0, clipped=True)
-    forces = RecordedForce(
-        stamp_ns, np.linspace(0.0, 90.0, 100), 0, 1, simulated=True, source="test", impacts=(impact, clipped)
-    )
+    forces = RecordedForce(stamp_ns, np.linspace(0.0, 90.0, 100), simulated=True, impacts=(impact, clipped))
     figure = draw_run(run(), title="", subtitle="", mass_model="lumped", timeout=0.2, forces=forces)
     assert len(figure.axes) == 4
     panel = lines(figure, 3)

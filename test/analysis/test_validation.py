@@ -540,11 +540,11 @@ def test_several_force_topics_require_a_choice(campaign: list[Path], dynamics: R
             topics = ["/left", "/right"] if message.type == FORCE_BLOCK else [message.topic]
             for topic in topics:
                 writer.write(topic, *message[1:])
-    with pytest.raises(BagError, match="several topics hold the force; give --force-topic one of /left, /right"):
+    with pytest.raises(BagError, match="several topics hold force; --force-topic must be one of /left, /right"):
         validate([path], dynamics, SETTINGS)
     found = validate([path], dynamics, replace(SETTINGS, force=ImportSettings(topic="right")))
     assert (found.recordings[0].force_topic, len(found.result.impacts)) == ("/right", 1)
-    with pytest.raises(BagError, match="no force on up; give --force-topic one of"):
+    with pytest.raises(BagError, match="no force on up; --force-topic must be one of"):
         validate([path], dynamics, replace(SETTINGS, force=ImportSettings(topic="up")))
 
 
