@@ -85,10 +85,7 @@ def open_csv(path: Path, settings: ImportSettings) -> ForceFile:
     for stamp_ns, value in samples:
         stamps_ns.append(stamp_ns)
         values.append(value)
-    try:
-        sample_rate, blocks = uniform_samples(np.frombuffer(stamps_ns, np.int64), np.frombuffer(values))
-    except ValueError as error:
-        raise BagError(f"{origin}: {error}") from None
+    sample_rate, blocks = uniform_samples(origin, np.frombuffer(stamps_ns, np.int64), np.frombuffer(values))
     return ForceFile(f"{path.name}, {header[force]}", unit, sample_rate, blocks)
 
 

@@ -11,11 +11,12 @@ from scara_effmass.bags.bag import Bag
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError
+from scara_effmass.impacts.detector import finite_parts
 from scara_effmass.importers.csv_file import open_csv
 from scara_effmass.importers.force_file import NEWTON_PER_UNIT, VOLT_PER_UNIT, ForceFile
 from scara_effmass.importers.wrench_topic import read_wrench_topic
 from scara_effmass.settings import ImportSettings
-from scara_effmass.values import MAX_LOST_SAMPLES, RANGE_TOLERANCE, ForceBlock, true_runs
+from scara_effmass.values import MAX_LOST_SAMPLES, RANGE_TOLERANCE, ForceBlock
 from scara_effmass.wire.cdr import NS
 from scara_effmass.wire.force import force_block_message
 from scara_effmass.wire.message_types import FORCE_BLOCK
@@ -117,36 +118,22 @@ def _force_blocks(path: Path, file: ForceFile, settings: ImportSettings) -> Iter
     unit_scale = VOLT_PER_UNIT[file.unit] if is_voltage else NEWTON_PER_UNIT[file.unit]
     newton_scale = (1e3 / sensor.sensitivity if is_voltage else 1.0) * (-1.0 if sensor.invert else 1.0)
     saturation = sensor.range * (1.0 - RANGE_TOLERANCE)
-    first = lost = 0
-    is_empty = True
+    end = 0
     for block in file.blocks:
         with np.errstate(over="ignore", invalid="ignore"):  # damaged files hold huge numbers and signalling NaN
-            values = block.samples * unit_scale
-            force = values * newton_scale
-        valid = np.abs(values) <= MAX_VALUE
+            values = block.force * unit_scale
+            force = np.where(np.abs(values) <= MAX_VALUE, values * newton_scale, np.nan)
         force.flags.writeable = False
-        first += block.lost_samples
-        lost += block.lost_samples
-        end = 0
-        for start, stop in true_runs(valid).tolist():
-            lost += start - end
-            run_force = force[start:stop]
-            yield ForceBlock(
-                stamp_ns=block.stamp_ns + round(start / file.sample_rate * NS),
+        for part in finite_parts(block._replace(force=force)):
+            yield part._replace(
                 frame_id=settings.frame_id,
-                first_sample=first + start,
-                sample_rate=file.sample_rate,
-                force=run_force,
-                lost_samples=min(lost, MAX_LOST_SAMPLES),
-                saturated_samples=np.flatnonzero(np.abs(run_force) >= saturation).astype(np.uint32),
-                clock_residual=block.clock_residual,
+                lost_samples=min(part.first_sample - end, MAX_LOST_SAMPLES),
+                saturated_samples=np.flatnonzero(np.abs(part.force) >= saturation).astype(np.uint32),
                 source=file.description,
                 simulated=file.simulated,
                 # For a file in newtons, the sensor is unknown.
                 relative_uncertainty=sensor.sensitivity_uncertainty if is_voltage and not file.simulated else 0.0,
             )
-            lost, end, is_empty = 0, stop, False
-        lost += len(force) - end
-        first += len(force)
-    if is_empty:
+            end = part.first_sample + len(part.force)
+    if not end:
         raise BagError(f"{path}: {file.description}: has no finite sample")

@@ -18,9 +18,9 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from scara_effmass.errors import SettingsError
+from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.settings import ImportSettings
-from scara_effmass.values import FloatArray
+from scara_effmass.values import FloatArray, ForceBlock
 from scara_effmass.wire.cdr import NS
 
 IntArray = NDArray[np.int64]
@@ -53,30 +53,19 @@ BURST_ROUNDS = 4
 MAX_LOSS = 0.5
 
 
-class SampleBlock(NamedTuple):
-    """Consecutive samples (n,) from `stamp_ns` on.
-
-    `clock_residual` [s] is the uncertainty of the stamp; `lost_samples` are missing directly before the block.
-    """
-
-    stamp_ns: int
-    samples: FloatArray
-    lost_samples: int
-    clock_residual: float
-
-
 @dataclass(frozen=True, slots=True)
 class ForceFile:
     """An open force recording with a constant `sample_rate` [Hz].
 
-    `losses` returns one line for each part that could not be read so far; call it after reading `blocks`.
+    `blocks` are in `unit` and without origin; lost samples show in their sample numbers. `losses` returns one line for
+    each part that could not be read so far; call it after reading `blocks`.
     """
 
     description: str
     unit: str
     """One of UNITS."""
     sample_rate: float
-    blocks: Iterator[SampleBlock]
+    blocks: Iterator[ForceBlock]
     simulated: bool = False
     losses: Callable[[], tuple[str, ...]] = tuple
 
@@ -128,35 +117,40 @@ class _Sampling(NamedTuple):
     short_threshold_ns: float
 
 
-def uniform_samples(
-    stamps_ns: IntArray, values: FloatArray, block_time: float = BLOCK_TIME_S
-) -> tuple[float, Iterator[SampleBlock]]:
-    """Return the rate [Hz] and blocks of up to `block_time` [s] of `values` (n,) with ascending stamps (n,) [ns].
+def uniform_samples(origin: str, stamps_ns: IntArray, values: FloatArray) -> tuple[float, Iterator[ForceBlock]]:
+    """Return the rate [Hz] and blocks of `values` (n,) with ascending stamps (n,) [ns]; `origin` begins errors.
 
     A block ends before a gap. Each stamp in a block gives an estimate of the time of its first sample; their median is
-    the stamp of the block, and their RMS deviation from it is the `clock_residual`. Raises ValueError if the rate is
-    not constant.
+    the stamp of the block, and their RMS deviation from it is the `clock_residual`. Raises BagError if the rate is not
+    constant.
     """
     if len(stamps_ns) < 2:
-        raise ValueError(f"has {len(stamps_ns)} samples; must have at least 2")
-    sampling = _sampling(stamps_ns[:HEAD])
-    sample_rate = NS / sampling.period_ns
-    size = max(1, round(block_time * sample_rate))
-    return sample_rate, _blocks(stamps_ns, values, sampling, size)
+        raise BagError(f"{origin}: has {len(stamps_ns)} samples; must have at least 2")
+    try:
+        sampling = _sampling(stamps_ns[:HEAD])
+    except ValueError as error:
+        raise BagError(f"{origin}: {error}") from None
+    return NS / sampling.period_ns, _blocks(stamps_ns, values, sampling)
 
 
-def _blocks(stamps_ns: IntArray, values: FloatArray, sampling: _Sampling, size: int) -> Iterator[SampleBlock]:
+def _blocks(stamps_ns: IntArray, values: FloatArray, sampling: _Sampling) -> Iterator[ForceBlock]:
     numbers = _sample_numbers(stamps_ns, sampling)
-    end = 0
     for start, stop in pairwise([0, *(np.flatnonzero(np.diff(numbers) > 1) + 1).tolist(), len(numbers)]):
-        for first in range(start, stop, size):
-            last = min(first + size, stop)
-            part_ns = stamps_ns[first:last]
+        for block in split(int(numbers[start]), 0, values[start:stop], NS / sampling.period_ns):
+            first = start + block.first_sample - int(numbers[start])
+            part_ns = stamps_ns[first : first + len(block.force)]
             deviation_ns = _delay_ns(part_ns, sampling.period_ns)
             shift_ns = float(np.median(deviation_ns))
             residual_ns = float(np.sqrt(np.mean((deviation_ns - shift_ns) ** 2)))
-            lost, end = int(numbers[first]) - end, int(numbers[last - 1]) + 1
-            yield SampleBlock(int(part_ns[0]) + round(shift_ns), values[first:last], lost, residual_ns / NS)
+            yield block._replace(stamp_ns=int(part_ns[0]) + round(shift_ns), clock_residual=residual_ns / NS)
+
+
+def split(first_sample: int, stamp_ns: int, values: FloatArray, sample_rate: float) -> Iterator[ForceBlock]:
+    """Yield `values` (n,) without a gap, of which the first one is at `stamp_ns`, as blocks of BLOCK_TIME_S."""
+    size = max(1, round(BLOCK_TIME_S * sample_rate))
+    for first in range(0, len(values), size):
+        block_ns = stamp_ns + round(first / sample_rate * NS)
+        yield ForceBlock(block_ns, "", first_sample + first, sample_rate, values[first : first + size])
 
 
 def _sample_numbers(stamps_ns: IntArray, sampling: _Sampling) -> IntArray:

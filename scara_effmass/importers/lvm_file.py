@@ -71,10 +71,7 @@ def open_lvm(path: Path, settings: ImportSettings) -> ForceFile:
     if not len(force) or np.any(np.diff(stamps_ns) < 0):
         raise BagError(f"{origin}: must have times that advance, also from segment to segment")
     unit = select_unit(settings.unit, unit, origin)
-    try:
-        sample_rate, blocks = uniform_samples(stamps_ns, force)
-    except ValueError as error:
-        raise BagError(f"{origin}: {error}") from None
+    sample_rate, blocks = uniform_samples(origin, stamps_ns, force)
     return ForceFile(f"{path.name}, {name}", unit, sample_rate, blocks)
 
 

@@ -3,7 +3,7 @@
 
 import logging
 from collections.abc import Callable, Iterator
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -16,19 +16,18 @@ from nptdms.timestamp import TdmsTimestamp
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.importers.csv_file import NS_PER_UNIT, is_time_name
 from scara_effmass.importers.force_file import (
-    BLOCK_TIME_S,
     SPELLINGS,
     ForceFile,
     IntArray,
-    SampleBlock,
     refuse_settings,
     select_force,
     select_unit,
+    split,
     uniform_samples,
 )
 from scara_effmass.input_files import check_regular_file
 from scara_effmass.settings import ImportSettings
-from scara_effmass.values import FloatArray
+from scara_effmass.values import FloatArray, ForceBlock
 from scara_effmass.wire.cdr import MAX_SEC, NS
 
 MAX_SPAN_S = 1e9
@@ -64,13 +63,10 @@ def open_tdms(path: Path, settings: ImportSettings) -> ForceFile:
     elif settings.rate:
         if len(samples) > settings.rate * MAX_SEC:
             raise BagError(f"{origin}: rate = {settings.rate:g}: must be larger, the file lasts over {MAX_SEC} s")
-        sample_rate, blocks = settings.rate, _blocks(samples, 0, 1.0 / settings.rate, 0)
+        sample_rate, blocks = settings.rate, split(0, 0, samples, settings.rate)
     else:
         times_ns = _times_ns(path, file, channel, settings.time_column, origin)
-        try:
-            sample_rate, blocks = uniform_samples(times_ns, samples[: len(times_ns)])
-        except ValueError as error:
-            raise BagError(f"{origin}: {error}") from None
+        sample_rate, blocks = uniform_samples(origin, times_ns, samples[: len(times_ns)])
     return ForceFile(f"{path.name}, {name}", unit, sample_rate, blocks, losses=lambda: losses)
 
 
@@ -80,28 +76,23 @@ def _waveform(
     increment: float,
     samples: FloatArray,
     origin: str,
-) -> tuple[float, Iterator[SampleBlock]]:
+) -> tuple[float, Iterator[ForceBlock]]:
     """Return rate and blocks of a channel with waveform timing, a gap before each start but the first."""
     if not 0.0 < increment * len(channel) < MAX_SPAN_S:
         raise BagError(f"{origin}: wf_increment = {increment:g}: must be the sampling period [s]")
     starts = list(_starts(path, channel, increment, origin))
-    pieces: list[tuple[int, int, int, int]] = []  # first and last sample, start [ns], lost samples before it
-    for (first, start_ns), (stop, _) in pairwise([*starts, (len(samples), 0)]):
-        lost = 0
-        if pieces:
-            begin, end, begin_ns, _ = pieces[-1]
-            gap_s = (start_ns - begin_ns) / NS - (end - begin) * increment
-            lost = round(gap_s / increment)
-            if lost < 0:
-                problem = f"sample {first}: wf_start_time is {-gap_s:.6f} s before the end of the samples before"
-                raise BagError(f"{origin}: {problem}; must advance")
-        pieces.append((first, stop, start_ns, lost))
-
-    def blocks() -> Iterator[SampleBlock]:
-        for first, stop, start_ns, lost in pieces:
-            yield from _blocks(samples[first:stop], start_ns, increment, lost)
-
-    return 1.0 / increment, blocks()
+    lost = [0]  # before each start, since the first one
+    for (begin, begin_ns), (first, start_ns) in pairwise(starts):
+        gap_s = (start_ns - begin_ns) / NS - (first - begin) * increment
+        lost.append(lost[-1] + round(gap_s / increment))
+        if lost[-1] < lost[-2]:
+            problem = f"sample {first}: wf_start_time is {-gap_s:.6f} s before the end of the samples before"
+            raise BagError(f"{origin}: {problem}; must advance")
+    pieces = zip(lost, pairwise([*starts, (len(samples), 0)]), strict=False)
+    return 1.0 / increment, chain.from_iterable(
+        split(first + before, start_ns, samples[first:stop], 1.0 / increment)
+        for before, ((first, start_ns), (stop, _)) in pieces
+    )
 
 
 def _starts(
@@ -167,13 +158,6 @@ def _segments(path: Path, channel: str) -> Iterator[tuple[int, dict[str, Any]]]:
 def _count(segment: Any, channel: str) -> int:  # noqa: ANN401 - nptdms has no types
     number = segment.object_index.get(channel)
     return 0 if number is None else int(_number_of_segment_values(segment.ordered_objects[number], segment))
-
-
-def _blocks(samples: FloatArray, start_ns: int, increment: float, lost: int) -> Iterator[SampleBlock]:
-    size = max(1, round(BLOCK_TIME_S / increment))
-    for first in range(0, len(samples), size):
-        stamp_ns = start_ns + round(first * increment * NS)
-        yield SampleBlock(stamp_ns, samples[first : first + size], 0 if first else lost, clock_residual=0.0)
 
 
 def _times_ns(path: Path, file: Any, force: Any, name: str, origin: str) -> IntArray:  # noqa: ANN401

@@ -77,9 +77,9 @@ def read_wrench_topic(bag: Bag, settings: ImportSettings) -> ForceFile:
     else:
         component += ", at log times"
     try:
-        sample_rate, blocks = uniform_samples(stamps_ns, force)
-    except ValueError as error:
-        raise BagError("; ".join([f"{origin}: {error}", *bag.losses])) from None
+        sample_rate, blocks = uniform_samples(origin, stamps_ns, force)
+    except BagError as error:
+        raise BagError("; ".join([str(error), *bag.losses])) from None
     info = first_run_info(bag)
     return ForceFile(
         description=f"{bag.path.name}, {topic.name}{component}",

@@ -6,43 +6,46 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from scara_effmass.importers.force_file import CHUNK, SampleBlock, uniform_samples
+from scara_effmass.errors import BagError
+from scara_effmass.importers.force_file import BLOCK_TIME_S, CHUNK, uniform_samples
+from scara_effmass.values import ForceBlock
 
 NS = 10**9
 T0 = 1_700_000_000 * NS
 
 
-def sampled(times_ns: np.ndarray, block_time: float = 0.1) -> tuple[float, list[SampleBlock]]:
-    """Return the rate and the blocks of samples whose values are their indices."""
-    sample_rate, blocks = uniform_samples(times_ns, np.arange(len(times_ns), dtype=np.float64), block_time)
-    return sample_rate, list(blocks)
+def sampled(times_ns: np.ndarray) -> tuple[float, list[ForceBlock]]:
+    """Return the rate and the blocks of samples whose values are their indices, with the samples lost before each."""
+    sample_rate, blocks = uniform_samples("cell.csv", times_ns, np.arange(len(times_ns), dtype=np.float64))
+    counted, end = [], 0
+    for block in blocks:
+        counted.append(block._replace(lost_samples=block.first_sample - end))
+        end = block.first_sample + len(block.force)
+    return sample_rate, counted
 
 
 @settings(max_examples=40)
 @given(
     rate=st.floats(0.5, 20_000.0),
     count=st.integers(300, 6000),
-    block_time=st.floats(0.005, 2.0),
     gaps=st.dictionaries(st.integers(1, 5999), st.integers(1, 1000), max_size=3),
 )
-def test_uniform_stamps_stay_and_every_gap_is_counted(
-    rate: float, count: int, block_time: float, gaps: dict[int, int]
-) -> None:
+def test_uniform_stamps_stay_and_every_gap_is_counted(rate: float, count: int, gaps: dict[int, int]) -> None:
     numbers = np.arange(count)
     for at, lost in gaps.items():
         numbers[at:] += lost
     assume(numbers[-1] < 1.9 * count)
     times_ns = T0 + np.round(numbers * NS / rate).astype(np.int64)
-    sample_rate, blocks = sampled(times_ns, block_time)
+    sample_rate, blocks = sampled(times_ns)
     assert sample_rate == pytest.approx(rate, rel=1e-4)
-    assert np.concatenate([block.samples for block in blocks]).tolist() == list(range(count))
-    assert {int(block.samples[0]): block.lost_samples for block in blocks if block.lost_samples} == {
+    assert np.concatenate([block.force for block in blocks]).tolist() == list(range(count))
+    assert {int(block.force[0]): block.lost_samples for block in blocks if block.lost_samples} == {
         at: lost for at, lost in gaps.items() if at < count
     }
-    size = max(1, round(block_time * sample_rate))
+    size = max(1, round(BLOCK_TIME_S * sample_rate))
     for block in blocks:
-        assert len(block.samples) <= size
-        assert block.stamp_ns == pytest.approx(times_ns[int(block.samples[0])], abs=2)
+        assert len(block.force) <= size
+        assert block.stamp_ns == pytest.approx(times_ns[int(block.force[0])], abs=2)
         assert block.clock_residual == pytest.approx(0.0, abs=2e-9)
 
 
@@ -56,13 +59,13 @@ def test_jitter_is_averaged_and_loses_no_sample(jitter: float, count: int) -> No
         sample_rate, blocks = sampled(np.sort(true_ns + noise_ns))
         assert sample_rate == pytest.approx(1000.0, rel=0.2 * jitter / count**0.5 + 1e-6)
         assert sum(block.lost_samples for block in blocks) == 0
-        assert sum(len(block.samples) for block in blocks) == count
+        assert sum(len(block.force) for block in blocks) == count
         first = 0
         for block in blocks:
             # of the median of 100 normal numbers, five standard deviations; sorting them takes a little away
             assert abs(block.stamp_ns - true_ns[first]) < 6.5 * jitter / 10 * period_ns
             assert 0.5 * jitter < block.clock_residual * 1e3 < 1.5 * jitter
-            first += len(block.samples)
+            first += len(block.force)
 
 
 def test_samples_of_a_burst_are_spread_over_their_time() -> None:
@@ -93,7 +96,7 @@ def test_stall_is_not_a_gap() -> None:
     gone_ns = np.delete(true_ns, slice(1000, 1040))
     _, blocks = sampled(gone_ns)
     (gap,) = [block for block in blocks if block.lost_samples]
-    assert (gap.lost_samples, gap.samples[0], gap.stamp_ns) == (40, 1000.0, true_ns[1040])
+    assert (gap.lost_samples, gap.force[0], gap.stamp_ns) == (40, 1000.0, true_ns[1040])
 
 
 def test_gap_at_the_edge_of_a_chunk_is_found() -> None:
@@ -102,7 +105,7 @@ def test_gap_at_the_edge_of_a_chunk_is_found() -> None:
         times_ns = T0 + np.arange(3 * CHUNK) * period_ns
         times_ns[at:] += 7 * period_ns
         _, blocks = sampled(times_ns)
-        assert [(block.lost_samples, block.samples[0]) for block in blocks if block.lost_samples] == [(7, float(at))]
+        assert [(block.lost_samples, block.force[0]) for block in blocks if block.lost_samples] == [(7, float(at))]
 
 
 @pytest.mark.parametrize(
@@ -118,5 +121,5 @@ def test_gap_at_the_edge_of_a_chunk_is_found() -> None:
     ],
 )
 def test_samples_without_a_constant_rate_are_refused(times: list[int], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(BagError, match=f"cell.csv: {message}"):
         sampled(np.array(times, np.int64) * NS)
