@@ -17,6 +17,7 @@ from scara_effmass.bags.bag import Bag
 from scara_effmass.bags.batches import IntArray
 from scara_effmass.bags.files import open_bag
 from scara_effmass.codes import Reason
+from scara_effmass.errors import BagError, DecodeError
 from scara_effmass.safety.reasons import HELD_AFTER, LATCHED_UNTIL_RESET, plain_text
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import BoolArray, FloatArray, Verdict, severity
@@ -134,8 +135,11 @@ def _recorded(path: Path) -> Iterator[tuple[str, Columns]]:
         for topic in bag.topics:
             if topic.type in {CONTACT_STATES, FORMER_CONTACT_STATE}:
                 rows = _contact_rows(bag, topic.name)
-                while block := list(islice(rows, _BLOCK)):
-                    yield topic.name, dict(zip(_COLUMNS, zip(*block, strict=True), strict=True))
+                try:
+                    while block := list(islice(rows, _BLOCK)):
+                        yield topic.name, dict(zip(_COLUMNS, zip(*block, strict=True), strict=True))
+                except DecodeError as error:
+                    raise BagError(f"{path}: {topic.name}: {error}") from None
 
 
 def _contact_rows(bag: Bag, topic: str) -> Iterator[tuple[Any, ...]]:

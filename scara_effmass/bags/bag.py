@@ -2,10 +2,9 @@
 """An open bag of any format."""
 
 from abc import ABC, abstractmethod
-from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -31,7 +30,7 @@ from scara_effmass.wire.former_contact_state import DEFINITION
 from scara_effmass.wire.message_types import FORCE_BLOCK, FORMER_CONTACT_STATE, IMPACT, JOINT_STATE, RUN_INFO
 from scara_effmass.wire.run_info import decode_run_info
 
-Decoded = TypeVar("Decoded", ForceBlock, Impact)
+Decoded = TypeVar("Decoded")
 
 
 class RawMessage(NamedTuple):
@@ -104,6 +103,23 @@ class Bag(ABC):
         """Names of the topics of type sensor_msgs/JointState."""
         return tuple(topic.name for topic in self.topics if topic.type == JOINT_STATE)
 
+    def find_topic(self, name: str, types: Sequence[str], setting: str = "topic", remedy: str = "") -> Topic:
+        """Return the topic `name`, with or without a leading slash; if empty, the only one of the first of `types`.
+
+        Topics without messages do not count. Raises BagError, which names the `setting` and the choice, or `remedy`.
+        """
+        topics = [topic for kind in types for topic in self.topics if topic.type == kind and topic.count]
+        if not topics:
+            raise BagError(f"{self.path}: has no topic of type {', '.join(types)}{remedy}")
+        if name:
+            candidates = [topic for topic in topics if topic.name.lstrip("/") == name.lstrip("/")]
+        else:
+            candidates = [topic for topic in topics if topic.type == topics[0].type]
+        if len(candidates) != 1:
+            choices = ", ".join(f"{topic.name} ({topic.type})" for topic in candidates or topics)
+            raise BagError(f"{self.path}: {setting} {f'= {name}' if name else 'is empty'}: must be one of {choices}")
+        return candidates[0]
+
     @cached_property
     def types(self) -> Typestore:
         """Message types: those that the bag defines, and the known ones."""
@@ -154,7 +170,7 @@ class Bag(ABC):
     def timed_force_blocks(self, topic: str) -> Iterator[tuple[int, ForceBlock]]:
         """Yield log time [ns] and force block; see `force_blocks`."""
         check_definition(self.types, FORCE_BLOCK, str(self.path))
-        return self._decoded(self.messages([topic]), FORCE_BLOCK, decode_force_block)
+        return self.decoded(topic, FORCE_BLOCK, lambda message: decode_force_block(message.data))
 
     def impacts(self, topic: str) -> Iterator[Impact]:
         """Yield the impacts of `topic`; see `force_blocks`."""
@@ -163,15 +179,27 @@ class Bag(ABC):
     def timed_impacts(self, topic: str) -> Iterator[tuple[int, Impact]]:
         """Yield log time [ns] and impact; see `force_blocks`."""
         is_earlier = check_definition(self.types, IMPACT, str(self.path))
-        return self._decoded(self.messages([topic]), IMPACT, partial(decode_impact, is_earlier=is_earlier))
+        return self.decoded(topic, IMPACT, lambda message: decode_impact(message.data, is_earlier=is_earlier))
+
+    def decoded(
+        self, topic: str, message_type: str, decode: Callable[[RawMessage], Decoded]
+    ) -> Iterator[tuple[int, Decoded]]:
+        """Yield log time [ns] and content of each message; those for which `decode` raises DecodeError are losses."""
+        add_loss = self._losses.counter()
+        for message in self.messages([topic]):
+            if message.type != message_type:
+                continue
+            try:
+                yield message.log_time_ns, decode(message)
+            except DecodeError as error:
+                add_loss(f"{self.path}: {topic}: left out: {error}")
 
     def deserialize(self, message: RawMessage) -> Any:  # noqa: ANN401 - of a class that the bag defines
         """Return a message as an object with the fields of its type. Raises DecodeError."""
         try:
             return self.types.deserialize_cdr(message.data, message.type)
         except Exception as error:  # noqa: BLE001 - code generated from unchecked definitions
-            origin = f"{self.path}: {message.topic}: {message.type}"
-            raise DecodeError(f"{origin} cannot be decoded: {one_line(error)}") from None
+            raise DecodeError(f"{message.type} cannot be decoded: {one_line(error)}") from None
 
     def __enter__(self) -> Self:
         return self
@@ -183,20 +211,6 @@ class Bag(ABC):
         columns = (batch.topic.tolist(), batch.log_time_ns.tolist(), batch.start.tolist(), batch.stop.tolist())
         for index, log_time_ns, start, stop in zip(*columns, strict=True):
             yield RawMessage(self.topics[index].name, self.topics[index].type, log_time_ns, batch.data[start:stop])
-
-    def _decoded(
-        self, messages: Iterator[RawMessage], kind: str, decode: Callable[[bytes], Decoded]
-    ) -> Iterator[tuple[int, Decoded]]:
-        failure_counts: Counter[str] = Counter()
-        for message in messages:
-            if message.type != kind:
-                continue
-            try:
-                yield message.log_time_ns, decode(message.data)
-            except DecodeError as error:
-                line = f"{self.path}: {message.topic}: left out: {error}"
-                failure_counts[line] += 1
-                self._losses.add(line, failure_counts[line])
 
 
 def inflate_stored(path: Path, data: bytes, losses: LossLog) -> bytes:

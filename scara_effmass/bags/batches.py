@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -56,6 +56,16 @@ class LossLog:
     def add(self, line: str, count: int = 1) -> None:
         """Add `line`, or increase its count to `count`, the number of occurrences in the current reading."""
         self._counts[line] = max(count, self._counts.get(line, 0))
+
+    def counter(self) -> Callable[[str], None]:
+        """Return a function that adds a line, or counts it once more, for one reading of the data."""
+        counts: Counter[str] = Counter()
+
+        def add(line: str) -> None:
+            counts[line] += 1
+            self.add(line, counts[line])
+
+        return add
 
     def extend(self, lines: Iterable[str]) -> None:
         """Add the `lines` of another log."""
@@ -172,8 +182,7 @@ class BlockDecoder:
 
     def __init__(self, origin: str, losses: LossLog) -> None:
         self._origin = origin
-        self._losses = losses
-        self._failure_counts: Counter[str] = Counter()
+        self._add_loss = losses.counter()
         self._names: tuple[str, ...] = ()
         self._window = MIN_WINDOW
 
@@ -187,9 +196,7 @@ class BlockDecoder:
             try:
                 layout = joint_state_layout(batch.data[batch.start[first] : batch.stop[first]])
             except DecodeError as error:
-                line = f"{self._origin}: left out: {error}"
-                self._failure_counts[line] += 1
-                self._losses.add(line, self._failure_counts[line])
+                self._add_loss(f"{self._origin}: left out: {error}")
                 failures.append(DecodeFailure(int(batch.log_time_ns[first]), str(error)))
                 first += 1
                 continue

@@ -9,7 +9,6 @@ at the first damaged record.
 
 import struct
 import zlib
-from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, suppress
 from io import BytesIO
@@ -138,7 +137,7 @@ class McapCopy:
         # For each id in the original: the definition, and its id in the copy.
         self._schemas: dict[int, tuple[Schema, int]] = {}
         self._channels: dict[int, tuple[Channel, int]] = {}
-        self._undefined_messages: Counter[int] = Counter()
+        self._add_loss = losses.counter()
         self._writer = Writer(output, chunk_size=MAX_TIME_NS)  # chunks end only where those of the original do
         header = Header(profile="", library="")
         first = next(records(source), None)
@@ -174,8 +173,8 @@ class McapCopy:
         if end != size:
             self._losses.add(self.cut_off)
 
-    def _lose(self, line: str, count: int = 1) -> None:
-        self._losses.add(f"{self._path}: {line}", count)
+    def _lose(self, line: str) -> None:
+        self._add_loss(f"{self._path}: {line}")
         self.has_gaps = True
 
     def _add_chunk(self, file: IO[bytes], chunk: Record) -> None:
@@ -229,9 +228,7 @@ class McapCopy:
     def _add_message(self, content: bytes) -> None:
         channel, sequence, log_time_ns, publish_time_ns = MESSAGE_HEAD.unpack_from(content)
         if channel not in self._channels:
-            self._undefined_messages[channel] += 1
-            line = f"messages of channel {channel}, which the file does not define, are lost"
-            self._lose(line, self._undefined_messages[channel])
+            self._lose(f"messages of channel {channel}, which the file does not define, are lost")
             return
         if log_time_ns > MAX_TIME_NS:
             raise ValueError(log_time_ns)

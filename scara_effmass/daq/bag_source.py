@@ -12,7 +12,6 @@ from typing import final
 import numpy as np
 
 from scara_effmass.bags.bag import Bag
-from scara_effmass.bags.batches import Topic
 from scara_effmass.bags.files import open_bag
 from scara_effmass.daq.source import ForceSource, Reading
 from scara_effmass.errors import BagError, SettingsError
@@ -22,6 +21,8 @@ from scara_effmass.values import ForceBlock
 from scara_effmass.wire.cdr import NS
 from scara_effmass.wire.message_types import FORCE_BLOCK, WRENCH, WRENCH_STAMPED
 
+TYPES = (FORCE_BLOCK, WRENCH_STAMPED, WRENCH)
+"""Types of topics that can be played, by priority."""
 POLL_S = 0.005
 """Polling period of the clock, which may be a simulated one."""
 MAX_LEAD_NS = 10 * NS
@@ -36,20 +37,6 @@ MAX_RATE_DRIFT = 0.01
 """Largest relative difference between the sample rates of two blocks of one recording."""
 MAX_OVERLAP_NS = NS
 """A block that overlaps by less is a repetition and is left out; if stamps go back further, a clock was set back."""
-
-
-def _topic(bag: Bag, name: str, convert: str) -> Topic:
-    """Return the topic `name`; if empty, the only topic of ForceBlocks or, without ForceBlocks, of wrenches."""
-    full = [topic for topic in bag.topics if topic.count]
-    blocks = [topic for topic in full if topic.type == FORCE_BLOCK]
-    topics = blocks or [topic for topic in full if topic.type in {WRENCH_STAMPED, WRENCH}]
-    candidates = [topic for topic in topics if not name or topic.name in {name, f"/{name}"}]
-    if len(candidates) == 1:
-        return candidates[0]
-    if not topics:
-        raise BagError(f"{bag.path}: has no topic of type {FORCE_BLOCK}; {convert}")
-    setting = f"bag.topic = {name}" if name else "bag.topic is empty"
-    raise BagError(f"{bag.path}: {setting}: must be one of {', '.join(topic.name for topic in topics)}")
 
 
 def _ordered(blocks: Iterator[ForceBlock], origin: str) -> Iterator[ForceBlock]:
@@ -210,7 +197,7 @@ class BagSource(ForceSource):
         if path.is_file() and path.suffix.lower() in IMPORTERS:
             raise BagError(f"{path}: is not a bag; {convert}")
         bag = self._bag = open_bag(path)
-        found = _topic(bag, self._settings.topic, convert)
+        found = bag.find_topic(self._settings.topic, TYPES, "bag.topic", f"; {convert}")
         topic = found.name
         origin = f"{bag.path}: {topic}"
         wrench = ImportSettings(topic=topic, axis=self._settings.axis, unit=self._settings.unit, sensor=self._sensor)

@@ -2,12 +2,12 @@
 """Force from a topic of wrenches or numbers in a bag, one sample per message."""
 
 from array import array
-from collections import Counter
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from scara_effmass.bags.bag import Bag, first_run_info
+from scara_effmass.bags.bag import Bag, RawMessage, first_run_info
 from scara_effmass.bags.batches import IntArray, Topic
 from scara_effmass.errors import BagError, DecodeError
 from scara_effmass.importers.force_file import TABLE_SETTINGS, ForceFile, refuse_settings, uniform_samples
@@ -60,7 +60,10 @@ def read_wrench_topic(bag: Bag, settings: ImportSettings) -> ForceFile:
     Times are those of the headers, or the log times if the headers have no stamps. The norm is that of the difference
     to the median force of the first second, so the sensor must not turn. Raises BagError or SettingsError.
     """
-    topic = _topic(bag, settings.topic)
+    force_blocks = [topic.name for topic in bag.topics if topic.type == FORCE_BLOCK and topic.count]
+    if force_blocks and not settings.topic:
+        raise BagError(f"{bag.path}: already has ForceBlocks on {', '.join(force_blocks)}; needs no import")
+    topic = bag.find_topic(settings.topic, TYPES)
     origin = f"{bag.path}: {topic.name}"
     refuse_settings(settings, TABLE_SETTINGS, origin, "messages have times")
     if topic.type == FLOAT64:
@@ -91,52 +94,17 @@ def read_wrench_topic(bag: Bag, settings: ImportSettings) -> ForceFile:
     )
 
 
-def _topic(bag: Bag, name: str) -> Topic:
-    """Return the topic `name`; if empty, the only one that can be force."""
-    topics = [topic for topic in bag.topics if topic.type in TYPES and topic.count]
-    if name:
-        candidates = [topic for topic in topics if topic.name in {name, f"/{name}"}]
-    else:
-        types = [kind for kind in TYPES if any(topic.type == kind for topic in topics)]
-        candidates = [topic for topic in topics if topic.type == types[0]]
-        if force := [topic.name for topic in bag.topics if topic.type == FORCE_BLOCK and topic.count]:
-            raise BagError(f"{bag.path}: already has ForceBlocks on {', '.join(force)}; needs no import")
-    if len(candidates) == 1:
-        return candidates[0]
-    choices = ", ".join(f"{topic.name} ({topic.type})" for topic in (topics if name else candidates))
-    rule = f"must be one of {choices}" if choices else f"must have a topic of type {', '.join(TYPES)}"
-    raise BagError(f"{bag.path}: {f'topic = {name}' if name else 'topic is empty'}: {rule}")
-
-
 def _read(bag: Bag, topic: Topic, axis: str) -> tuple[_Messages, str]:
     """Return the messages that can be decoded, and as text the force that was subtracted before the norm was taken."""
     log_times_ns, stamps_ns, values = array("q"), array("q"), array("d")
-    components = axis if axis in {"x", "y", "z"} else "xyz"
-    failure_counts: Counter[str] = Counter()
     frames: set[str] = set()
-    for message in bag.messages([topic.name]):
-        if message.type != topic.type:
-            continue
-        try:
-            decoded = bag.deserialize(message)
-            if topic.type == FLOAT64:
-                sample = [float(decoded.data)]
-            else:
-                force = decoded.force if topic.type == WRENCH else decoded.wrench.force
-                sample = [float(getattr(force, name)) for name in components]
-            stamp = decoded.header.stamp if topic.type == WRENCH_STAMPED else None
-            stamp_ns = 0 if stamp is None else int(stamp.sec) * NS + int(stamp.nanosec)
-            frames |= set() if stamp is None else {str(decoded.header.frame_id)}
-        except (DecodeError, AttributeError, TypeError, ValueError) as error:
-            reason = str(error).removeprefix(f"{bag.path}: {topic.name}: ")
-            failure_counts[reason] += 1
-            bag.add_loss(f"{topic.name}: left out: {reason}", failure_counts[reason])
-            continue
-        log_times_ns.append(message.log_time_ns)
+    for log_time_ns, (stamp_ns, frame_id, sample) in bag.decoded(topic.name, topic.type, partial(_sample, bag, axis)):
+        log_times_ns.append(log_time_ns)
         stamps_ns.append(stamp_ns)
         values.extend(sample)
-    if failure_counts and not values:
-        raise BagError(f"{bag.path}: {topic.name}: no message can be decoded: {next(iter(failure_counts))}")
+        frames.add(frame_id)
+    if not values:
+        raise BagError("; ".join([f"{bag.path}: {topic.name}: no message can be decoded", *bag.losses]))
     if len(frames) > 1:
         rule = "must be one, because several sensors cannot share a topic"
         raise BagError(f"{bag.path}: {topic.name}: frame_id = {', '.join(sorted(frames))}: {rule}")
@@ -150,6 +118,22 @@ def _read(bag: Bag, topic: Topic, axis: str) -> tuple[_Messages, str]:
         with np.errstate(over="ignore", invalid="ignore"):  # damaged bags hold huge numbers
             force = np.linalg.norm(vectors - offset, axis=1)
     return _Messages(times_ns, np.frombuffer(stamps_ns, np.int64), force), zero
+
+
+def _sample(bag: Bag, axis: str, message: RawMessage) -> tuple[int, str, list[float]]:
+    """Return stamp [ns], frame and force of a message; all components for a norm. Raises DecodeError."""
+    decoded = bag.deserialize(message)
+    try:
+        if message.type == FLOAT64:
+            return 0, "", [float(decoded.data)]
+        force = decoded.force if message.type == WRENCH else decoded.wrench.force
+        sample = [float(getattr(force, name)) for name in ("xyz" if axis == "norm" else axis)]
+        if message.type == WRENCH:
+            return 0, "", sample
+        stamp = decoded.header.stamp
+        return int(stamp.sec) * NS + int(stamp.nanosec), str(decoded.header.frame_id), sample
+    except (AttributeError, TypeError, ValueError) as error:
+        raise DecodeError(str(error)) from None
 
 
 def _frozen(stamps_ns: IntArray) -> BoolArray:
