@@ -108,7 +108,7 @@ def _read(path: Path, *, has_header: bool, has_times: bool) -> tuple[list[str], 
         rule = "must have a header, or ; between columns"
         raise BagError(f"{path}: line {start + 1}: is one number with a decimal comma, or two columns: {rule}")
     delimiter = max(delimiters, key=partial(_fit, head, has_header=has_header))
-    rows = _rows(path, start, chain(head, lines), delimiter)
+    rows = read_rows(path, delimiter, start, chain(head, lines))
     line, header = next(rows)
     if len(header) < 2 and has_times:
         rule = "must have times and force, separated by , ; or tab; without times, state --rate HZ"
@@ -150,9 +150,12 @@ def _lines(path: Path) -> Iterator[str]:
         raise BagError(f"{path}: cannot be read: {error.strerror}") from None
 
 
-def _rows(path: Path, start: int, lines: Iterator[str], delimiter: str) -> Rows:
-    """Yield line number and cells of each row, none of a blank one. Raises BagError for more than in the first row."""
-    reader = csv.reader(lines, delimiter=delimiter)
+def read_rows(path: Path, delimiter: str, start: int = 0, lines: Iterator[str] | None = None) -> Rows:
+    """Yield line number and cells of each row, none of a blank one, in a file or its `lines` after number `start`.
+
+    Raises BagError for more cells than in the first row.
+    """
+    reader = csv.reader(_lines(path) if lines is None else lines, delimiter=delimiter, skipinitialspace=True)
     columns = 0
     try:
         for row in reader:

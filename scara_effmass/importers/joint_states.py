@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Joint states from a CSV file, such as a log of UR's RTDE or `ros2 topic echo --csv`, read by a mapping file."""
 
-import csv
 import math
 from collections.abc import Iterator, Mapping
 from functools import partial
@@ -13,9 +12,9 @@ from pydantic import Field, StrictInt
 
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError, SettingsError
-from scara_effmass.importers.csv_file import NS_PER_UNIT
+from scara_effmass.importers.csv_file import NS_PER_UNIT, read_rows
 from scara_effmass.importers.times import Numbers, time_ns
-from scara_effmass.input_files import check_regular_file, read_yaml
+from scara_effmass.input_files import read_yaml
 from scara_effmass.settings import checked
 from scara_effmass.settings.loading import FrozenSettings
 from scara_effmass.values import JointState
@@ -96,43 +95,29 @@ def write_joint_state_bag(
 
 def _joint_states(path: Path, mapping: Path, table: JointTable) -> Iterator[tuple[int, JointState]]:
     """Yield the line number and joint state of each row; blank rows are skipped."""
-    names, joints = tuple(table.joints), tuple(table.joints.values())
-    number = Numbers(table.delimiter)
-    check_regular_file(path, BagError)
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            rows = csv.reader(file, delimiter=table.delimiter, skipinitialspace=True)
-            header = [name.strip() for name in next(rows, [])] if table.header else []
-            index = partial(_index, mapping, header)
-            stated_times = table.time if isinstance(table.time, tuple) else (table.time,)
-            times = [index(column, "time") for column in stated_times if column is not None]
-            positions = [index(joint.position, f"joints.{name}.position") for name, joint in table.joints.items()]
-            velocities = [
-                index(joint.velocity, f"joints.{name}.velocity")
-                for name, joint in table.joints.items()
-                if joint.velocity is not None
-            ]
-            scales = np.array([SCALES[joint.unit] for joint in joints])
-            columns = len(header)
-            for count, row in enumerate(row for row in rows if any(cell.strip() for cell in row)):
-                columns = columns or len(row)
-                if any(cell.strip() for cell in row[columns:]):
-                    problem = f"has {len(row)} fields, the first row {columns}: must be as many"
-                    raise BagError(f"{path}: line {rows.line_num}: {problem}; a decimal comma needs another delimiter")
-                try:
-                    if table.rate is None:
-                        stamp_ns = _stamp_ns([row[i].strip() for i in times], NS_PER_UNIT[table.time_unit], number)
-                    else:
-                        stamp_ns = round(count / table.rate * NS)
-                    position, velocity = (
-                        np.array([number(row[i]) for i in numbers]) for numbers in (positions, velocities)
-                    )
-                except (ValueError, IndexError, OverflowError):
-                    problem = f"must have numbers in columns {sorted({*times, *positions, *velocities})}"
-                    raise BagError(f"{path}: line {rows.line_num}: {problem} (from 0)") from None
-                yield rows.line_num, JointState(stamp_ns, names, position * scales, velocity * scales[: len(velocity)])
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise BagError(f"{path}: cannot be read: {error}") from None
+    names, number = tuple(table.joints), Numbers(table.delimiter)
+    rows = read_rows(path, table.delimiter)
+    index = partial(_index, mapping, next(rows, (0, []))[1] if table.header else [])
+    stated_times = table.time if isinstance(table.time, tuple) else (table.time,)
+    times = [index(column, "time") for column in stated_times if column is not None]
+    positions = [index(joint.position, f"joints.{name}.position") for name, joint in table.joints.items()]
+    velocities = [
+        index(joint.velocity, f"joints.{name}.velocity")
+        for name, joint in table.joints.items()
+        if joint.velocity is not None
+    ]
+    scales = np.array([SCALES[joint.unit] for joint in table.joints.values()])
+    for count, (line, row) in enumerate(item for item in rows if any(item[1])):
+        try:
+            if table.rate is None:
+                stamp_ns = _stamp_ns([row[i] for i in times], NS_PER_UNIT[table.time_unit], number)
+            else:
+                stamp_ns = round(count / table.rate * NS)
+            position, velocity = (np.array([number(row[i]) for i in numbers]) for numbers in (positions, velocities))
+        except (ValueError, IndexError, OverflowError):
+            problem = f"must have numbers in columns {sorted({*times, *positions, *velocities})}"
+            raise BagError(f"{path}: line {line}: {problem} (from 0)") from None
+        yield line, JointState(stamp_ns, names, position * scales, velocity * scales[: len(velocity)])
 
 
 def _index(mapping: Path, header: list[str], column: Column, key: str) -> int:
