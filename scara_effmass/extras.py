@@ -21,7 +21,7 @@ def pip_line(library: str) -> str:
     return f"pip install 'scara_effmass[{EXTRAS[library]}]'"
 
 
-def missing_extra(error: ModuleNotFoundError) -> str:
+def missing_extra(error: ImportError) -> str:
     """Return one line that names the library and its extra; empty if `error` is about no optional library."""
     library = (error.name or "").partition(".")[0]
     return f"{library}: must be installed: {pip_line(library)}" if library in EXTRAS else ""

@@ -26,6 +26,7 @@ from scara_effmass.cli.console import LEVEL_STYLES, print_findings, print_json, 
 from scara_effmass.cli.options import load_dynamics, monitor_settings
 from scara_effmass.codes import ModelCode
 from scara_effmass.errors import DaqError, EffmassError, LimitError, RobotError, SettingsError
+from scara_effmass.extras import missing_extra
 from scara_effmass.input_files import check_regular_file
 from scara_effmass.iso15066 import EDITION, TABLE_HASH, limits_for
 from scara_effmass.safety.assumptions import assumptions_of, deciding_mass, mass_source, scope
@@ -196,8 +197,9 @@ def _daq(params: Path | None) -> Iterator[CheckResult]:
         driver = import_module("scara_effmass.daq.ni_driver")
         yield CheckResult("ok", "NI-DAQmx", driver.driver_version())
         devices = driver.devices()
-    except DaqError as error:
-        yield CheckResult("note", "NI-DAQmx", str(error))
+    except (DaqError, ImportError) as error:
+        text = missing_extra(error) if isinstance(error, ImportError) else ""
+        yield CheckResult("note", "NI-DAQmx", text or str(error))
         return
     for device in devices:
         simulated = ", simulated by its driver" if device.simulated else ""

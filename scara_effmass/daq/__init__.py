@@ -22,6 +22,6 @@ def make_source(settings: DaqSettings, now_ns: Callable[[], int]) -> ForceSource
     module, _, name = SOURCES[settings.source].partition(":")
     try:
         source: ForceSource = getattr(import_module(module), name)(settings, now_ns)
-    except ModuleNotFoundError as error:
+    except ImportError as error:
         raise DriverMissingError(missing_extra(error) or str(error)) from error
     return source

@@ -9,17 +9,10 @@ from contextlib import suppress
 from typing import Any, final
 
 import numpy as np
+from nidaqmx import Task, constants, errors
+from nidaqmx.stream_readers import AnalogMultiChannelReader
 
-from scara_effmass.daq.ni_driver import (
-    SAMPLES_NOT_YET_AVAILABLE,
-    AnalogMultiChannelReader,
-    Task,
-    constants,
-    daq_error,
-    errors,
-    optional,
-    translated,
-)
+from scara_effmass.daq.ni_driver import SAMPLES_NOT_YET_AVAILABLE, daq_error, optional, translated
 from scara_effmass.daq.source import ForceSource, Reading
 from scara_effmass.errors import DaqError
 from scara_effmass.settings import DaqSettings

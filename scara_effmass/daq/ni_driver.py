@@ -1,41 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Devices and errors of the driver NI-DAQmx.
-
-Only this module imports NI's Python client. The client can be imported without the driver.
-"""
+"""Devices and errors of the driver NI-DAQmx. NI's Python client can be imported without the driver."""
 
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any, NamedTuple
 
+from nidaqmx import constants, errors
+from nidaqmx.system import System
+
 import scara_effmass.errors
 from scara_effmass.errors import DaqError, DeviceMissingError, DriverMissingError
-from scara_effmass.extras import pip_line
 from scara_effmass.input_files import read_table
-
-try:
-    from nidaqmx import Task, constants, errors
-    from nidaqmx.stream_readers import AnalogMultiChannelReader
-    from nidaqmx.system import System
-except ImportError as error:
-    raise DriverMissingError(
-        f"the Python client of NI-DAQmx cannot be used: {pip_line('nidaqmx')} ({error})"
-    ) from error
-
-__all__ = [
-    "SAMPLES_NOT_YET_AVAILABLE",
-    "AnalogMultiChannelReader",
-    "Device",
-    "Task",
-    "constants",
-    "daq_error",
-    "devices",
-    "driver_version",
-    "errors",
-    "optional",
-    "translated",
-]
 
 SAMPLES_NOT_YET_AVAILABLE = -200284
 """A read has timed out; its buffer holds the samples that came until then."""
