@@ -16,7 +16,7 @@ Light obstacles (mu near m_H) determine g, heavy ones s. The contact law F = K d
 import math
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy  # loads scipy.optimize and scipy.special on first use; importing scipy.stats would take a second
@@ -441,29 +441,7 @@ def region_force(
     return max(forces, key=lambda region: region.force / region.limit, default=NO_REGION)
 
 
-class _Compared(Protocol):
-    """Forces [N] of an impact on body regions, and their limits: of `ValidatedImpact` and of its message."""
-
-    @property
-    def body_region(self) -> str: ...
-
-    @property
-    def region_force(self) -> float: ...
-
-    @property
-    def limit_force(self) -> float: ...
-
-    @property
-    def held_region(self) -> str: ...
-
-    @property
-    def held_force(self) -> float: ...
-
-    @property
-    def held_limit(self) -> float: ...
-
-
-def comparison_text(impact: _Compared) -> str:
+def comparison_text(impact: Any) -> str:  # noqa: ANN401 - ValidatedImpact, or what displays keep of its message
     """Return the force on a body region, converted from the measured peak, and what stayed, each with its limit."""
 
     def compared(force: float, region: str, limit: float) -> str:
