@@ -142,23 +142,13 @@ class Bag(ABC):
         indices = {i for i, topic in enumerate(self.topics) if topics is None or topic.name in topics}
         return (raw for batch in self.batches(indices, start_ns, stop_ns) for raw in self._raw_messages(batch))
 
-    def joint_state_blocks(
-        self, topic: str | None = None, start_ns: int = 0, stop_ns: int = MAX_TIME_NS
-    ) -> Iterator[JointStateBlock]:
-        """Yield the joint states of `topic` (None: the only one) with start_ns <= log time < stop_ns.
-
-        Raises BagError if the topic is missing or of another type.
-        """
-        candidates = self.joint_state_topics
-        name = candidates[0] if topic is None and len(candidates) == 1 else topic
-        if not candidates:
-            raise BagError(f"{self.path}: contains no joint states")
-        if name not in candidates:
-            raise BagError(f"{self.path}: topic of joint states = {name}: must be one of {', '.join(candidates)}")
+    def joint_state_blocks(self, topic: str = "") -> Iterator[JointStateBlock]:
+        """Yield the joint states of `topic`; empty: the only one. Raises BagError if there is no such topic."""
+        name = topic if topic in self.joint_state_topics else self.find_topic(topic, (JOINT_STATE,)).name
         check_definition(self.types, JOINT_STATE, str(self.path))
         decoder = BlockDecoder(f"{self.path}: {name}", self._losses)
         indices = {self._topic_indices[name, JOINT_STATE]}
-        return (block for batch in self.batches(indices, start_ns, stop_ns) for block in decoder.blocks(batch))
+        return (block for batch in self.batches(indices, 0, MAX_TIME_NS) for block in decoder.blocks(batch))
 
     def force_blocks(self, topic: str) -> Iterator[ForceBlock]:
         """Yield the force blocks of `topic`; invalid messages are skipped and listed in `losses`.

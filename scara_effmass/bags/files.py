@@ -76,20 +76,21 @@ def is_rosbag2_folder(folder: Path) -> bool:
         return False
     if (folder / METADATA).is_file():
         return True
-    matches = [SPLIT_NAME.fullmatch(path.name) for path in bag_files(folder)]
-    names = {(match["name"], match["suffix"]) for match in matches if match}
-    numbers = sorted(int(match["number"]) for match in matches if match)
-    return len(names) == 1 and numbers == list(range(len(matches)))
+    splits = [_split_name(path) for path in bag_files(folder)]
+    names = {name for name, _ in splits}
+    return len(names) == 1 and "" not in names and [number for _, number in splits] == list(range(len(splits)))
 
 
 def bag_files(folder: Path) -> list[Path]:
     """Return the bag files in `folder` in the order of their numbers. Raises OSError."""
+    paths = (path for path in folder.iterdir() if _is_bag_name(path) and path.is_file())
+    return sorted(paths, key=lambda path: (_split_name(path)[1], path))
 
-    def order(path: Path) -> tuple[int, Path]:
-        match = SPLIT_NAME.fullmatch(path.name)
-        return int(match["number"]) if match else 0, path
 
-    return sorted((path for path in folder.iterdir() if _is_bag_name(path) and path.is_file()), key=order)
+def _split_name(path: Path) -> tuple[str, int]:
+    """Return name and suffix, which all files of a rosbag2 folder share, and the number of the file; else "" and 0."""
+    match = SPLIT_NAME.fullmatch(path.name)
+    return (f"{match['name']}.{match['suffix']}", int(match["number"])) if match else ("", 0)
 
 
 def _is_bag_name(path: Path) -> bool:
@@ -166,14 +167,8 @@ def _open_folder(folder: Path, losses: LossLog) -> Bag:
 
 def _continues(path: Path, named: Sequence[Path]) -> bool:
     """Return whether a file continues the bag with the files `named`."""
-    match = SPLIT_NAME.fullmatch(path.name)
-    earlier = [SPLIT_NAME.fullmatch(other.name) for other in named]
-    return match is not None and all(
-        other is not None
-        and (other["name"], other["suffix"]) == (match["name"], match["suffix"])
-        and int(other["number"]) < int(match["number"])
-        for other in earlier
-    )
+    name, number = _split_name(path)
+    return bool(name) and all(other == name and earlier < number for other, earlier in map(_split_name, named))
 
 
 def read_metadata(folder: Path, losses: LossLog) -> dict[str, Any]:

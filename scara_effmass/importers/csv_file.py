@@ -73,16 +73,7 @@ def open_csv(path: Path, settings: ImportSettings) -> ForceFile:
     unit = select_unit(settings.unit, _unit(header[force]), origin)
     # A long file has millions of rows; these arrays need 16 bytes for each.
     stamps_ns, values = array("q"), array("d")
-    number = Numbers(delimiter)
-    if time is None:
-        samples = _samples_at_rate(path, header, rows, force, settings.rate, number)
-    else:
-        time_unit = _unit(header[time]) or "s"
-        if time_unit not in NS_PER_UNIT:
-            rule = f"must be one of {', '.join(NS_PER_UNIT)}; without times, state --rate HZ"
-            raise BagError(f"{path}: {header[time]}: has the unit {time_unit}; {rule}")
-        samples = _samples(path, header, rows, time, force, NS_PER_UNIT[time_unit], number)
-    for stamp_ns, value in samples:
+    for stamp_ns, value in _samples(path, header, rows, time, force, settings.rate, Numbers(delimiter)):
         stamps_ns.append(stamp_ns)
         values.append(value)
     sample_rate, blocks = uniform_samples(origin, np.frombuffer(stamps_ns, np.int64), np.frombuffer(values))
@@ -243,45 +234,42 @@ def _unit(name: str) -> str:
 
 
 def _samples(
-    path: Path, header: Sequence[str], rows: Rows, time: int, force: int, ns_per_unit: int, number: Numbers
+    path: Path, header: Sequence[str], rows: Rows, time: int | None, force: int, rate: float, number: Numbers
 ) -> Iterator[tuple[int, float]]:
-    """Yield the stamp [ns] and the value of each row."""
-    previous_ns, previous = -MAX_SEC * NS - 1, "-inf"
-    for line, row in rows:
-        if len(row) <= max(time, force) or not row[time] or not row[force]:
-            continue
-        value = _number(row[force], f"{path}: line {line}: {header[force]}", number)
-        origin = f"{path}: line {line}: {header[time]}"
-        try:
-            stamp_ns = time_ns(row[time], ns_per_unit, number)
-        except OverflowError:
-            raise BagError(f"{origin} = {row[time]}: must be within {MAX_SEC} s of 1970 or of the start") from None
-        except ValueError:
-            is_nan = row[time].lower().lstrip("+-") == "nan"
-            rule = f"must not be less than {previous}, the time before" if is_nan else f"{DIGITS}, or in ISO 8601"
-            raise BagError(f"{origin} = {row[time] if is_nan else repr(row[time])}: {rule}") from None
-        if stamp_ns < previous_ns:
-            raise BagError(f"{origin} = {row[time]}: must not be less than {previous}, the time before")
-        previous_ns, previous = stamp_ns, row[time]
-        yield stamp_ns, value
+    """Yield the stamp [ns] and the value of each row that has both.
 
-
-def _samples_at_rate(
-    path: Path, header: Sequence[str], rows: Rows, force: int, rate: float, number: Numbers
-) -> Iterator[tuple[int, float]]:
-    """Yield the stamp [ns] and the value of each row, the first one at 0; a row without a value is a lost sample."""
+    The column `time` has the stamps; without it, the first row is at 0, and a row without a value is a lost sample.
+    """
+    unit = "s" if time is None else _unit(header[time]) or "s"
+    if time is not None and unit not in NS_PER_UNIT:
+        rule = f"must be one of {', '.join(NS_PER_UNIT)}; without times, state --rate HZ"
+        raise BagError(f"{path}: {header[time]}: has the unit {unit}; {rule}")
+    previous_ns, previous = -MAX_SEC * NS - 1, ""
     for count, (line, row) in enumerate(rows):
-        if count > rate * MAX_SEC:
-            raise BagError(f"{path}: line {line}: rate = {rate:g}: must be larger, the file lasts over {MAX_SEC} s")
-        if len(row) > force and row[force]:
-            yield round(count / rate * NS), _number(row[force], f"{path}: line {line}: {header[force]}", number)
-
-
-def _number(text: str, origin: str, number: Numbers) -> float:
-    try:
-        return number(text)
-    except ValueError:
-        raise BagError(f"{origin} = {text!r}: {DIGITS}") from None
+        if not all(len(row) > column and row[column] for column in (time, force) if column is not None):
+            continue
+        try:
+            value = number(row[force])
+        except ValueError:
+            raise BagError(f"{path}: line {line}: {header[force]} = {row[force]!r}: {DIGITS}") from None
+        if time is None:
+            stamp_ns = round(count / rate * NS)
+            if stamp_ns > MAX_SEC * NS:
+                raise BagError(f"{path}: line {line}: rate = {rate:g}: must be larger, the file lasts over {MAX_SEC} s")
+        else:
+            origin = f"{path}: line {line}: {header[time]} = {row[time]}"
+            try:
+                stamp_ns = time_ns(row[time], NS_PER_UNIT[unit], number)
+            except OverflowError:
+                raise BagError(f"{origin}: must be within {MAX_SEC} s of 1970 or of the start") from None
+            except ValueError:
+                raise BagError(
+                    f"{path}: line {line}: {header[time]} = {row[time]!r}: {DIGITS}, or in ISO 8601"
+                ) from None
+            if stamp_ns < previous_ns:
+                raise BagError(f"{origin}: must not be less than {previous}, the time before")
+            previous_ns, previous = stamp_ns, row[time]
+        yield stamp_ns, value
 
 
 def _is_number(text: str, delimiter: str) -> bool:

@@ -121,7 +121,7 @@ def read(bag: Bag) -> list[Message]:
     return [Message(*message) for message in bag.messages()]
 
 
-def assert_states(bag: Bag, expected: Iterable[Message], topic: str | None = None) -> None:
+def assert_states(bag: Bag, expected: Iterable[Message], topic: str = "") -> None:
     """Check that the states in the blocks are bit-identical to those of the live decoder."""
     decoder = JointStateDecoder()
     blocks = list(bag.joint_state_blocks(topic))
@@ -177,7 +177,6 @@ class TestEveryFormat:
             assert [Message(*m) for m in bag.messages(start_ns=start, stop_ns=stop)] == expected
             notes = [m for m in expected if m.topic == "/notes"]
             assert [Message(*m) for m in bag.messages(["/notes"], start, stop)] == notes
-            assert sum(map(len, bag.joint_state_blocks(start_ns=start, stop_ns=stop))) == 200
 
     def test_time_range_without_messages_is_empty(self, mixed: Path) -> None:
         with open_bag(mixed) as bag:
@@ -195,7 +194,7 @@ class TestEveryFormat:
 
     def test_unknown_topic_is_refused(self, mixed: Path) -> None:
         with open_bag(mixed) as bag:
-            with pytest.raises(BagError, match="topic of joint states = /notes: must be one of /joint_states"):
+            with pytest.raises(BagError, match="topic = /notes: must be one of /joint_states"):
                 bag.joint_state_blocks("/notes")
             with pytest.raises(BagError, match="topic = /nope: must be one of /joint_states, /notes"):
                 bag.messages(["/nope"])
@@ -204,9 +203,7 @@ class TestEveryFormat:
 def test_several_topics_of_joint_states_require_a_topic(tmp_path: Path) -> None:
     messages = [joint_state(0), joint_state(1)._replace(topic="/gripper/joint_states")]
     with open_bag(write_mcap(tmp_path / "a.mcap", messages)) as bag:
-        with pytest.raises(
-            BagError, match="topic of joint states = None: must be one of /gripper/joint_states, /joint_states"
-        ):
+        with pytest.raises(BagError, match=r"topic is empty: must be one of /gripper/joint_states .*, /joint_states "):
             bag.joint_state_blocks()
         assert_states(bag, messages[1:], "/gripper/joint_states")
 
@@ -214,7 +211,7 @@ def test_several_topics_of_joint_states_require_a_topic(tmp_path: Path) -> None:
 def test_bag_without_joint_states_is_refused(tmp_path: Path) -> None:
     with (
         open_bag(write_mcap(tmp_path / "a.mcap", [text(0)])) as bag,
-        pytest.raises(BagError, match="contains no joint states"),
+        pytest.raises(BagError, match="has no topic of type sensor_msgs/msg/JointState"),
     ):
         bag.joint_state_blocks()
 

@@ -140,7 +140,7 @@ def test_samples_at_the_end_of_the_range_are_marked(tmp_path: Path) -> None:
         ("t;f (N)\n0,5;1.25\n", {}, r"line 2: t = '0,5': must be digits with a decimal point, or one decimal comma"),
         ("t (s),f (N)\n0,001,0,5\n", {}, "line 2: has 4 fields, the first row 2: must be as many; a decimal comma"),
         ("t,f (N)\n0,1\n1,2\n0.5,3\n", {}, "line 4: t = 0.5: must not be less than 1, the time before"),
-        ("t,f (N)\nnan,1\n", {}, "line 2: t = nan: must not be less than -inf"),
+        ("t,f (N)\nnan,1\n", {}, "line 2: t = 'nan': must be digits"),
         ("t,f (N)\n1,1\n1,2\n", {}, r"f \(N\): its times do not advance"),
         ("t,f (N)\n0,nan\n1,nan\n", {}, r"f \(N\): has no finite sample"),
         ("t,f\n0,1\n", {}, "f: states no unit; state --unit, one of N, kN, daN, lbf, kgf, V, mV"),
