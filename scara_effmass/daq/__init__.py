@@ -2,7 +2,7 @@
 """Where measured force comes from, and what is done with the signal until it is newtons with a time."""
 
 from collections.abc import Callable
-from importlib import import_module
+from pkgutil import resolve_name
 
 from scara_effmass.daq.source import ForceSource
 from scara_effmass.errors import DriverMissingError
@@ -19,9 +19,8 @@ SOURCES = {
 
 def make_source(settings: DaqSettings, now_ns: Callable[[], int]) -> ForceSource:
     """Return the source selected in `settings`; `now_ns` returns the ROS time. Raises DaqError or SettingsError."""
-    module, _, name = SOURCES[settings.source].partition(":")
     try:
-        source: ForceSource = getattr(import_module(module), name)(settings, now_ns)
+        source: ForceSource = resolve_name(SOURCES[settings.source])(settings, now_ns)
     except ImportError as error:
         raise DriverMissingError(missing_extra(error) or str(error)) from error
     return source

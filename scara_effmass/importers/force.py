@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Convert force recordings of other programs to ForceBlocks, one by one or in a bag."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from pkgutil import resolve_name
 
 import numpy as np
 
@@ -12,7 +13,6 @@ from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError
 from scara_effmass.impacts.detector import finite_parts
-from scara_effmass.importers.csv_file import open_csv
 from scara_effmass.importers.force_file import NEWTON_PER_UNIT, VOLT_PER_UNIT, ForceFile
 from scara_effmass.importers.wrench_topic import read_wrench_topic
 from scara_effmass.settings import ImportSettings
@@ -41,26 +41,11 @@ class ImportedTopic:
     losses: tuple[str, ...] = ()
 
 
-def _open_tdms(path: Path, settings: ImportSettings) -> ForceFile:
-    from scara_effmass.importers.tdms_file import open_tdms  # noqa: PLC0415 - nptdms is in an extra
-
-    return open_tdms(path, settings)
-
-
-def _open_lvm(path: Path, settings: ImportSettings) -> ForceFile:
-    from scara_effmass.importers.lvm_file import open_lvm  # noqa: PLC0415 - lvm_read is in an extra
-
-    return open_lvm(path, settings)
-
-
-IMPORTERS: dict[str, Callable[[Path, ImportSettings], ForceFile]] = {
-    ".csv": open_csv,
-    ".tsv": open_csv,
-    ".txt": open_csv,
-    ".tdms": _open_tdms,
-    ".lvm": _open_lvm,
+IMPORTERS = dict.fromkeys((".csv", ".tsv", ".txt"), "scara_effmass.importers.csv_file:open_csv") | {
+    ".tdms": "scara_effmass.importers.tdms_file:open_tdms",
+    ".lvm": "scara_effmass.importers.lvm_file:open_lvm",
 }
-"""Function that opens files with this suffix; all other paths must be bags."""
+"""Function that opens files with this suffix, imported when it is needed; all other paths must be bags."""
 
 
 def import_force(path: Path, settings: ImportSettings) -> tuple[ForceFile, Iterator[ForceBlock]]:
@@ -68,10 +53,10 @@ def import_force(path: Path, settings: ImportSettings) -> tuple[ForceFile, Itera
 
     Values that are not finite numbers count as lost samples. Raises BagError or SettingsError.
     """
-    if (open_file := IMPORTERS.get(path.suffix.lower())) is None:
+    if (opener := IMPORTERS.get(path.suffix.lower())) is None:
         with open_bag(path) as bag:
             return import_wrenches(bag, settings)
-    file = open_file(path, settings)
+    file: ForceFile = resolve_name(opener)(path, settings)
     return file, _force_blocks(path, file, settings)
 
 

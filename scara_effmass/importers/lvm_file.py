@@ -9,6 +9,7 @@ import lvm_read
 import numpy as np
 from numpy.typing import NDArray
 
+from scara_effmass.bags.bag import one_line
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.importers.force_file import (
     SPELLINGS,
@@ -29,10 +30,11 @@ X, COMMENT = "X_Value", "Comment"
 
 
 class _Channel(NamedTuple):
-    """A channel of one segment: its column, and the start [ns], X0, Delta_X [s] and unit of its header."""
+    """A channel of one segment: its column and that of its times, and start [ns], X0, Delta_X [s] and unit."""
 
     name: str
     column: int
+    x_column: int | None
     start_ns: int
     x0: float
     dx: float
@@ -55,8 +57,7 @@ def open_lvm(path: Path, settings: ImportSettings) -> ForceFile:
     except BagError:
         raise
     except Exception as error:  # noqa: BLE001 - lvm_read raises any error at a damaged file
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise BagError(f"{path}: cannot be read as a LabVIEW measurement file: {reason}") from None
+        raise BagError(f"{path}: cannot be read as a LabVIEW measurement file: {one_line(error)}") from None
     name = _name(path, [channel for channels, _ in segments for channel in channels], settings.topic)
     times_ns, values, unit = [], [], ""
     for channels, segment in segments:
@@ -78,7 +79,7 @@ def open_lvm(path: Path, settings: ImportSettings) -> ForceFile:
 def _channels(header: dict[Any, Any], segment: dict[str, Any]) -> Iterator[_Channel]:
     """Yield the channels of a segment. Raises any error for a damaged one."""
     has_x = header.get("X_Columns", "One") != "No"
-    x_column = -1
+    x_column: int | None = None
     columns = sum(name not in {"", X, COMMENT} for name in segment["Channel names"])
     if columns < segment["Channels"]:
         problem = f"{columns} of its {segment['Channels']} channels are in columns"
@@ -99,9 +100,10 @@ def _channels(header: dict[Any, Any], segment: dict[str, Any]) -> Iterator[_Chan
             yield _Channel(
                 name,
                 number,
+                x_column,
                 start_ns,
                 float(entry("X0", default=0.0)),
-                np.nan if x_column >= 0 else float(entry("Delta_X", default=np.nan)),
+                np.nan if x_column is not None else float(entry("Delta_X", default=np.nan)),
                 SPELLINGS.get(unit.lower(), unit),
             )
 
@@ -112,14 +114,15 @@ def _samples(
     """Return the stamps (n,) [ns] and values (n,) of a channel, at `rate` [Hz] unless it is 0. Raises BagError."""
     data = segment["data"]
     values = np.asarray(data[:, channel.column], np.float64)
-    x_columns = [n for n, name in enumerate(segment["Channel names"][: channel.column]) if name == X]
-    has_x = bool(x_columns) and np.isnan(channel.dx)
-    if rate and (has_x or channel.dx > 0.0):
+    if rate and (channel.x_column is not None or channel.dx > 0.0):
         raise SettingsError(f"{origin}: rate = {rate:g}: must be empty, the file has times")
     dx = 1.0 / rate if rate else channel.dx
-    seconds = data[:, x_columns[-1]] if has_x else channel.x0 + np.arange(len(values)) * dx
+    if channel.x_column is None:
+        seconds = channel.x0 + np.arange(len(values)) * (dx or np.nan)
+    else:
+        seconds = data[:, channel.x_column]
     kept = np.isfinite(seconds)
-    if not dx or not kept.any() or np.abs(seconds[kept]).max() + abs(channel.start_ns) / NS > MAX_SEC:
+    if not kept.any() or np.abs(seconds[kept]).max() + abs(channel.start_ns) / NS > MAX_SEC:
         remedy = f"or there must be a column {X}; without times, state --rate HZ"
         raise BagError(f"{origin}: Delta_X = {dx:g}: must be the sampling period [s], {remedy}")
     return channel.start_ns + np.rint(seconds[kept] * NS).astype(np.int64), values[kept]

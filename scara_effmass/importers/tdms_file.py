@@ -13,6 +13,7 @@ from nptdms.log import log_manager
 from nptdms.reader import TdmsReader, _number_of_segment_values
 from nptdms.timestamp import TdmsTimestamp
 
+from scara_effmass.bags.bag import one_line
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.importers.csv_file import NS_PER_UNIT, is_time_name
 from scara_effmass.importers.force_file import (
@@ -48,15 +49,23 @@ def open_tdms(path: Path, settings: ImportSettings) -> ForceFile:
     """
     refuse_settings(settings, ("axis", "header"), str(path), "a TDMS file has none")
     file = _guarded(path, lambda: TdmsFile.read(path))
-    channel, name = _channel(path, file, settings.topic)
+    channels = {f"{group.name}/{channel.name}": channel for group in file.groups() for channel in group.channels()}
+    name = _force_name(path, channels, settings.topic)
+    channel = channels[name]
     origin = f"{path}: {name}"
     unit = select_unit(settings.unit, _unit(channel), origin)
     is_cut = file.file_status.incomplete_final_segment
     losses = (f"{path}: is cut off in its last segment; the rest is lost",) if is_cut else ()
     samples = np.asarray(_guarded(path, lambda: channel[:]), np.float64)
-    increment = _property(channel, "wf_increment", origin)
-    has_times = increment or settings.time_column or any(map(_is_time, _siblings(file, channel)))
-    if settings.rate and has_times:
+    increment = _number(channel.properties.get("wf_increment", 0.0), "wf_increment", origin)
+    if settings.time_column:
+        times = [
+            key for key in (settings.time_column, f"{channel.group_name}/{settings.time_column}") if key in channels
+        ]
+    else:  # of the same group
+        others = ((key, other) for key, other in channels.items() if key != name)
+        times = [key for key, other in others if other.group_name == channel.group_name and _is_time(other)]
+    if settings.rate and (increment or settings.time_column or times):
         raise SettingsError(f"{origin}: rate = {settings.rate:g}: must be empty, the file has times")
     if increment and not settings.time_column:
         sample_rate, blocks = _waveform(path, channel, increment, samples, origin)
@@ -65,7 +74,14 @@ def open_tdms(path: Path, settings: ImportSettings) -> ForceFile:
             raise BagError(f"{origin}: rate = {settings.rate:g}: must be larger, the file lasts over {MAX_SEC} s")
         sample_rate, blocks = settings.rate, split(0, 0, samples, settings.rate)
     else:
-        times_ns = _times_ns(path, file, channel, settings.time_column, origin)
+        if not times and not settings.time_column:
+            stated = channel.properties.get("wf_increment", "missing")
+            remedy = "state --rate HZ, or the channel of the times with --time-column"
+            raise BagError(f"{origin}: wf_increment = {stated}: must be the sampling period [s]; {remedy}")
+        if len(times) != 1:
+            setting = f"time_column = {settings.time_column}" if settings.time_column else "time_column is empty"
+            raise SettingsError(f"{path}: {setting}: must be one of {', '.join(times or channels)}")
+        times_ns = _times_ns(path, channels[times[0]], f"{path}: {times[0]}", len(channel))
         sample_rate, blocks = uniform_samples(origin, times_ns, samples[: len(times_ns)])
     return ForceFile(f"{path.name}, {name}", unit, sample_rate, blocks, losses=lambda: losses)
 
@@ -160,39 +176,21 @@ def _count(segment: Any, channel: str) -> int:  # noqa: ANN401 - nptdms has no t
     return 0 if number is None else int(_number_of_segment_values(segment.ordered_objects[number], segment))
 
 
-def _times_ns(path: Path, file: Any, force: Any, name: str, origin: str) -> IntArray:  # noqa: ANN401
-    """Return the times (n,) [ns] in the channel `name`, or in the only one of the group of `force` with times."""
-    channels = {f"{group.name}/{channel.name}": channel for group in file.groups() for channel in group.channels()}
-    if name:
-        chosen = [full for full in (name, f"{force.group_name}/{name}") if full in channels]
-    else:
-        chosen = [f"{one.group_name}/{one.name}" for one in _siblings(file, force) if _is_time(one)]
-    if not name and not chosen:
-        stated = force.properties.get("wf_increment", "missing")
-        remedy = "state --rate HZ, or the channel of the times with --time-column"
-        raise BagError(f"{origin}: wf_increment = {stated}: must be the sampling period [s]; {remedy}")
-    if len(chosen) != 1:
-        setting = f"time_column = {name}" if name else "time_column is empty"
-        raise SettingsError(f"{path}: {setting}: must be one of {', '.join(chosen or channels)}")
-    channel = channels[chosen[0]]
+def _times_ns(path: Path, channel: Any, origin: str, count: int) -> IntArray:  # noqa: ANN401 - nptdms has no types
+    """Return the times (n,) [ns] in a channel, which must be `count` in ascending order. Raises BagError."""
     times = _guarded(path, lambda: channel[:])
     if np.issubdtype(channel.dtype, np.datetime64):
         times_ns = times.astype("datetime64[ns]").astype(np.int64)
     elif np.issubdtype(channel.dtype, np.number):
         seconds = np.asarray(times, np.float64) * (NS_PER_UNIT.get(_unit(channel) or "s", NS) / NS)
         if not np.all(np.abs(seconds) < MAX_SEC):
-            raise BagError(f"{path}: {chosen[0]}: must be times within {MAX_SEC} s of 1970 or of the start")
+            raise BagError(f"{origin}: must be times within {MAX_SEC} s of 1970 or of the start")
         times_ns = np.rint(seconds * NS).astype(np.int64)
     else:
-        raise BagError(f"{path}: {chosen[0]}: must be numbers or times")
-    if len(times_ns) != len(force) or np.any(np.diff(times_ns) < 0):
-        raise BagError(f"{path}: {chosen[0]}: must be an ascending time for each of the {len(force)} samples")
+        raise BagError(f"{origin}: must be numbers or times")
+    if len(times_ns) != count or np.any(np.diff(times_ns) < 0):
+        raise BagError(f"{origin}: must be an ascending time for each of the {count} samples")
     return np.asarray(times_ns, np.int64)
-
-
-def _siblings(file: Any, force: Any) -> list[Any]:  # noqa: ANN401 - nptdms has no types
-    """Return the other channels in the group of the channel `force`."""
-    return [channel for channel in file[force.group_name].channels() if channel.path != force.path]
 
 
 def _is_time(channel: Any) -> bool:  # noqa: ANN401 - nptdms has no types
@@ -206,36 +204,24 @@ def _guarded(path: Path, read: Callable[[], Any]) -> Any:  # noqa: ANN401 - nptd
     check_regular_file(path, BagError)
     try:
         return read()
-    except OSError as error:
-        raise BagError(f"{path}: cannot be read: {error.strerror or error}") from None
     except Exception as error:  # noqa: BLE001 - nptdms raises any error at a damaged file
-        raise BagError(f"{path}: cannot be read: {' '.join(str(error).split()) or type(error).__name__}") from None
+        raise BagError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or one_line(error)}") from None
 
 
-def _channel(path: Path, file: Any, topic: str) -> tuple[Any, str]:  # noqa: ANN401 - nptdms has no types
-    """Return the channel `topic` (empty: the only one that can be force) and its name."""
-    channels = {
-        f"{group.name}/{channel.name}": channel
-        for group in file.groups()
-        for channel in group.channels()
-        if len(channel) and np.issubdtype(channel.dtype, np.number)
-    }
-    if not channels:
+def _force_name(path: Path, channels: dict[str, Any], topic: str) -> str:
+    """Return the name of the channel `topic`; if empty, of the only one that can be force."""
+    names = [name for name, one in channels.items() if len(one) and np.issubdtype(one.dtype, np.number)]
+    if not names:
         raise BagError(f"{path}: has no channel with numbers")
-    others = [(name, _unit(channel)) for name, channel in channels.items() if not _is_time(channel)]
-    name = topic or select_force(path, others)
-    if name not in channels:
-        raise SettingsError(f"{path}: topic = {topic}: must be one of {', '.join(channels)}")
-    return channels[name], name
+    name = topic or select_force(path, [(key, _unit(channels[key])) for key in names if not _is_time(channels[key])])
+    if name not in names:
+        raise SettingsError(f"{path}: topic = {topic}: must be one of {', '.join(names)}")
+    return name
 
 
 def _unit(channel: Any) -> str:  # noqa: ANN401 - nptdms has no types
     stated = str(channel.properties.get("unit_string", ""))
     return SPELLINGS.get(stated.lower(), stated)
-
-
-def _property(channel: Any, name: str, origin: str) -> float:  # noqa: ANN401 - nptdms has no types
-    return _number(channel.properties.get(name, 0.0), name, origin)
 
 
 def _number(value: Any, name: str, origin: str) -> float:  # noqa: ANN401
