@@ -60,13 +60,18 @@ def open_csv(path: Path, settings: ImportSettings) -> ForceFile:
     """
     refuse_settings(settings, ("axis",), str(path), "a column has no axes")
     header, rows, delimiter = _read(path, has_header=settings.header, has_times=not settings.rate)
-    times = [settings.time_column] if settings.time_column else [header[n] for n in _time_columns(header)]
+    stated = [_column(header, settings.time_column, "time_column", path)] if settings.time_column else []
+    times = stated or [
+        n for n, name in enumerate(header) if _unit(name) in NS_PER_UNIT or (is_time_name(name) and not _unit(name))
+    ]
     if settings.rate and times:
-        raise SettingsError(f"{path}: rate = {settings.rate:g}: must be empty, the file has times: {', '.join(times)}")
-    stated = _column(header, settings.time_column, "time_column", path) if settings.time_column else None
-    topic = settings.topic or _force_column(header, stated, path, has_times=not settings.rate)
-    force = _column(header, topic, "topic", path)
-    time = stated if stated is not None or settings.rate else _time_column(header, force, path)
+        names = ", ".join(header[n] for n in times)
+        raise SettingsError(f"{path}: rate = {settings.rate:g}: must be empty, the file has times: {names}")
+    no_force = times or ([] if settings.rate else [0])
+    units = [(name, _unit(name)) for n, name in enumerate(header) if n not in no_force]
+    remedy = "" if any(unit in UNITS for _, unit in units) else "; joint states need --joints FILE"
+    force = _column(header, settings.topic or select_force(path, units, remedy), "topic", path)
+    time = None if settings.rate else _time_column(header, times, force, path)
     if time == force:
         raise SettingsError(f"{path}: topic = time_column = {header[time]}: must be two columns")
     origin = f"{path}: {header[force]}"
@@ -173,14 +178,6 @@ def _column(header: Sequence[str], name: str, key: str, path: Path) -> int:
     raise SettingsError(f"{path}: {key} = {name}: {problem} {', '.join(header)}")
 
 
-def _force_column(header: Sequence[str], time: int | None, path: Path, *, has_times: bool) -> str:
-    """Return the only column that can be force."""
-    times = {time} if time is not None else set(_time_columns(header)) or ({0} if has_times else set())
-    others = [(name, _unit(name)) for number, name in enumerate(header) if number not in times]
-    remedy = "" if any(unit in UNITS for _, unit in others) else "; joint states need --joints FILE"
-    return select_force(path, others, remedy)
-
-
 def is_time_name(name: str) -> bool:
     """Return whether a column or channel has a name of times."""
     return bool(TIME_WORDS & _words(name))
@@ -190,18 +187,11 @@ def _words(name: str) -> set[str]:
     return set(WORD.findall(name.lower()))
 
 
-def _time_columns(header: Sequence[str]) -> list[int]:
-    return [
-        n for n, name in enumerate(header) if _unit(name) in NS_PER_UNIT or (is_time_name(name) and not _unit(name))
-    ]
-
-
-def _time_column(header: Sequence[str], force: int, path: Path) -> int:
-    """Return the column with the times of the column `force`. Raises SettingsError if several may be that.
+def _time_column(header: Sequence[str], times: list[int], force: int, path: Path) -> int:
+    """Return which of the columns `times` has those of the column `force`. Raises SettingsError if several may.
 
     In a file of several blocks, it shares a word with the force ("A: Time", "A: Force"), or each block begins with it.
     """
-    times = _time_columns(header)
     if len(times) == 1:
         return times[0]
     if not times:
