@@ -14,7 +14,7 @@ Light obstacles (mu near m_H) determine g, heavy ones s. The contact law F = K d
 """
 
 import math
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -189,18 +189,13 @@ def root_force(match: MatchedImpact, model: str) -> float:
 def model_fit(model: str, matches: Iterable[MatchedImpact]) -> MassFit:
     """Return `fit_masses` of `model` over the matches with a known impulse for which the model has a mass."""
     usable = [match for match in matches if match.has_mass(model) and match.impulse > 0.0]
-
-    def values(quantity: Callable[[MatchedImpact], float]) -> FloatArray:
-        return np.array([quantity(match) for match in usable])
-
-    return fit_masses(
-        values(lambda match: match.impulse),
-        values(lambda match: match.state.speed),
-        values(lambda match: match.impact.peak_force / match.force_share),
-        values(lambda match: match.state.masses[model]),
-        values(lambda match: match.obstacle_mass),
-        [match.run.configuration for match in usable],
-    )
+    values = [
+        (m.impulse, m.state.speed, m.impact.peak_force / m.force_share, m.state.masses[model], m.obstacle_mass)
+        for m in usable
+    ]
+    impulses, speeds, peaks, masses, obstacle_masses = np.array(values).reshape(-1, 5).T
+    configurations = [match.run.configuration for match in usable]
+    return fit_masses(impulses, speeds, peaks, masses, obstacle_masses, configurations)
 
 
 def compare_models(models: Iterable[str], matches: Sequence[MatchedImpact]) -> Comparison:

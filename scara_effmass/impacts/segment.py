@@ -247,22 +247,21 @@ Span = tuple[int, int]
 """First and last sample of a contact."""
 
 
-class _Durations(NamedTuple):
-    """Durations in samples, see `classify`."""
-
-    gap: int
-    margin: int
-    longest: int
-    transient: int
-
-
 class _Signal(NamedTuple):
-    """Force (n,) [N] above baseline, masks (n,) of the valid and the saturated samples, and contact threshold [N]."""
+    """Force (n,) [N] above `baseline`, masks (n,) of the valid and the saturated samples, and contact threshold [N].
+
+    The other numbers are those of `classify`.
+    """
 
     force: FloatArray
     valid: BoolArray
     saturated: BoolArray
+    baseline: Baseline
     threshold: float
+    gap: int
+    margin: int
+    longest: int
+    transient: int
 
 
 def classify(
@@ -280,7 +279,6 @@ def classify(
     before it are at the baseline. A load that swings for `longest` samples is one contact. The peak of a contact is
     that of its first `transient` samples.
     """
-    durations = _Durations(gap, margin, longest, transient)
     force = samples - baseline.force
     dropouts, dropout_ends = flat_runs(samples, baseline.flat_run, baseline.zero_run, saturated)
     valid = np.isfinite(samples)
@@ -294,12 +292,13 @@ def classify(
     glitches = glitches[valid[glitches - 1] & valid[glitches] & valid[glitches + 1]]
     force[glitches] = 0.5 * (force[glitches - 1] + force[glitches + 1])
 
-    contacts, others = _contacts(_Signal(force, valid, saturated, threshold), baseline, durations)
+    signal = _Signal(force, valid, saturated, baseline, threshold, gap, margin, longest, transient)
+    contacts, others = _contacts(signal)
     tensile_pulses: list[DetectedContact] = []
     if force.min() < -baseline.threshold:
         threshold = _threshold(-force, valid, baseline, gap)
-        whole = durations._replace(longest=sys.maxsize, transient=sys.maxsize)
-        tensile_pulses, _ = _contacts(_Signal(-force, valid, saturated, threshold), baseline, whole)
+        pulls = signal._replace(force=-force, threshold=threshold, longest=sys.maxsize, transient=sys.maxsize)
+        tensile_pulses, _ = _contacts(pulls)
     marks = [(dropouts, dropout_ends, STUCK), (glitches, glitches + 1, SINGLE_SAMPLE)]
     spans = [(first, last + 1, NO_CONTACT) for first, last in others]
     for starts, stops, reason in marks:
@@ -472,13 +471,13 @@ def measure(
     )
 
 
-def _contacts(signal: _Signal, baseline: Baseline, durations: _Durations) -> tuple[list[DetectedContact], list[Span]]:
+def _contacts(signal: _Signal) -> tuple[list[DetectedContact], list[Span]]:
     """Return the contacts in `signal`, and first and last sample of what is above the threshold but no contact."""
     contacts: list[DetectedContact] = []
-    others: list[tuple[int, int]] = []
-    spans = separate(signal.force, signal.valid, signal.threshold, durations.gap)
-    for span in _loads(spans, signal.force, baseline, durations):
-        contact = _contact(signal, span, spans, durations)
+    others: list[Span] = []
+    spans = separate(signal.force, signal.valid, signal.threshold, signal.gap)
+    for span in _loads(signal, spans):
+        contact = _contact(signal, span, spans)
         present = np.count_nonzero(signal.valid[span[0] : span[1] + 1])
         # In total, a contact compresses the sensor; noise does not.
         if contact.area > 0.0 and (contact.complete or present >= MIN_INCOMPLETE_SAMPLES):
@@ -488,19 +487,19 @@ def _contacts(signal: _Signal, baseline: Baseline, durations: _Durations) -> tup
     return contacts, others
 
 
-def _contact(signal: _Signal, span: Span, spans: list[Span], durations: _Durations) -> DetectedContact:
+def _contact(signal: _Signal, span: Span, spans: list[Span]) -> DetectedContact:
     """Return the contact in `span`; others of `spans` bound its flanks."""
-    force, valid, saturated, threshold = signal
+    force, valid, threshold = signal.force, signal.valid, signal.threshold
     first, last = span
     before, after = bisect_left(spans, (first, first)), bisect_right(spans, (last, last))
     earliest = spans[before - 1][1] + 1 if before else 0
     latest = spans[after][0] - 1 if after < len(spans) else force.size - 1
-    clipped = bool(saturated[first : last + 1].any())
+    clipped = bool(signal.saturated[first : last + 1].any())
     top = first + int(np.argmax(force[first : last + 1]))
     intact = not clipped and bool(valid[first : last + 1].all() and valid[max(top - 1, 0) : top + 2].all())
-    contact = measure(force, first, last, earliest, latest, intact=intact, transient=durations.transient)
-    rest = force[max(earliest, first - durations.margin) : first]
-    end = first + durations.transient if contact.held else math.ceil(contact.end)
+    contact = measure(force, first, last, earliest, latest, intact=intact, transient=signal.transient)
+    rest = force[max(earliest, first - signal.margin) : first]
+    end = first + signal.transient if contact.held else math.ceil(contact.end)
     complete = (
         contact.complete
         and first > 0
@@ -515,14 +514,15 @@ def _contact(signal: _Signal, span: Span, spans: list[Span], durations: _Duratio
     return contact._replace(complete=complete, clipped=clipped)
 
 
-def _loads(spans: list[Span], force: FloatArray, baseline: Baseline, durations: _Durations) -> list[Span]:
-    """Return `spans`, in which those during which the `force` (n,) [N] swings about a load are joined.
+def _loads(signal: _Signal, spans: list[Span]) -> list[Span]:
+    """Return `spans`, in which those during which the force swings about a load are joined.
 
-    The force must swing for `durations.longest` samples, without being at rest between two contacts.
+    The force must swing for `signal.longest` samples, without being at rest between two contacts.
     """
-    if not spans or spans[-1][1] - spans[0][0] < durations.longest:
+    force, baseline = signal.force, signal.baseline
+    if not spans or spans[-1][1] - spans[0][0] < signal.longest:
         return spans
-    min_rest = max(_MIN_REST_SAMPLES, _MIN_REST_GAPS * durations.gap)
+    min_rest = max(_MIN_REST_SAMPLES, _MIN_REST_GAPS * signal.gap)
     chains = [spans[:1]]
     for span in spans[1:]:
         between = force[chains[-1][-1][1] + 1 : span[0]]
@@ -534,7 +534,7 @@ def _loads(spans: list[Span], force: FloatArray, baseline: Baseline, durations: 
     joined: list[Span] = []
     for chain in chains:
         first, last = chain[0][0], chain[-1][1]
-        is_load = last - first >= durations.longest and force[first : last + 1].mean() > RELEASE * baseline.threshold
+        is_load = last - first >= signal.longest and force[first : last + 1].mean() > RELEASE * baseline.threshold
         joined += [(first, last)] if is_load else chain
     return joined
 
