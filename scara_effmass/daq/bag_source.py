@@ -15,7 +15,7 @@ from scara_effmass.bags.bag import Bag
 from scara_effmass.bags.files import open_bag
 from scara_effmass.daq.source import ForceSource, Reading
 from scara_effmass.errors import BagError, SettingsError
-from scara_effmass.importers.force import IMPORTERS, import_wrenches
+from scara_effmass.importers.force import IMPORTERS, MAX_VALUE, import_wrenches
 from scara_effmass.settings import DaqSettings, ImportSettings, Stamps
 from scara_effmass.values import ForceBlock
 from scara_effmass.wire.cdr import NS
@@ -31,8 +31,6 @@ RELATIVE_NS = 10**8 * NS
 """Earlier stamps (before 1973) are relative to the start of the recording."""
 CLOCK_STEP_NS = NS // 10
 """A clock that goes back by more has been set back; clocks that are adjusted go back by less."""
-MAX_FORCE = 1e9
-"""[N]; no sensor measures more."""
 MAX_RATE_DRIFT = 0.01
 """Largest relative difference between the sample rates of two blocks of one recording."""
 MAX_OVERLAP_NS = NS
@@ -270,7 +268,7 @@ class BagSource(ForceSource):
         return begin_ns + round((self._last_ns(block) - self._first_ns) / self._settings.rate)
 
     def _converted(self, block: ForceBlock, now_ns: int, shift_ns: int) -> Reading:
-        samples = np.where(np.abs(block.force) <= MAX_FORCE, block.force, np.nan)[np.newaxis]
+        samples = np.where(np.abs(block.force) <= MAX_VALUE, block.force, np.nan)[np.newaxis]
         samples.flags.writeable = False
         saturated = None
         if len(block.saturated_samples):

@@ -13,7 +13,6 @@ from scara_effmass.daq.clock_fit import ClockFit
 from scara_effmass.daq.source import ForceSource, Reading
 from scara_effmass.settings import DaqSettings, FilterKind, TareSettings
 from scara_effmass.values import (
-    MAX_LOST_SAMPLES,
     NONE_SATURATED,
     RANGE_TOLERANCE,
     BoolArray,
@@ -191,7 +190,7 @@ class ForceChannel:
             stamp_ns=common.stamp_ns + round((start / common.sample_rate - self.lowpass_delay) * NS),
             first_sample=first,
             force=force - self.tare,
-            lost_samples=min(self._missing, MAX_LOST_SAMPLES),
+            lost_samples=self._missing,
             saturated_samples=marks,
             filter_delay=common.filter_delay + self.lowpass_delay,
             tare=self.tare,

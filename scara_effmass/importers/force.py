@@ -16,7 +16,7 @@ from scara_effmass.impacts.detector import finite_parts
 from scara_effmass.importers.force_file import NEWTON_PER_UNIT, VOLT_PER_UNIT, ForceFile
 from scara_effmass.importers.wrench_topic import read_wrench_topic
 from scara_effmass.settings import ImportSettings
-from scara_effmass.values import MAX_LOST_SAMPLES, RANGE_TOLERANCE, ForceBlock
+from scara_effmass.values import RANGE_TOLERANCE, ForceBlock
 from scara_effmass.wire.cdr import NS
 from scara_effmass.wire.force import force_block_message
 from scara_effmass.wire.message_types import FORCE_BLOCK
@@ -112,7 +112,7 @@ def _force_blocks(path: Path, file: ForceFile, settings: ImportSettings) -> Iter
         for part in finite_parts(block._replace(force=force)):
             yield part._replace(
                 frame_id=settings.frame_id,
-                lost_samples=min(part.first_sample - end, MAX_LOST_SAMPLES),
+                lost_samples=part.first_sample - end,
                 saturated_samples=np.flatnonzero(np.abs(part.force) >= saturation).astype(np.uint32),
                 source=file.description,
                 simulated=file.simulated,

@@ -136,12 +136,6 @@ def test_gap_in_the_sample_numbers_is_counted() -> None:
     assert force.channels[0].lost == 8
 
 
-def test_lost_samples_of_a_block_are_limited_to_32_bits() -> None:
-    force = signal()
-    assert only_block(force.blocks(reading([1.0], first=2**33, lost=2**33))).lost_samples == 2**32 - 1
-    assert force.channels[0].lost == 2**33
-
-
 def test_stamps_of_a_device_are_those_of_the_fit_less_the_delays() -> None:
     source = StartedSource(filter_delay=3e-3, channels=("ai0", "ai1"))
     force = signal(source=source)
