@@ -280,9 +280,9 @@ def classify(
     that of its first `transient` samples.
     """
     force = samples - baseline.force
-    dropouts, dropout_ends = flat_runs(samples, baseline.flat_run, baseline.zero_run, saturated)
+    dropouts = flat_runs(samples, baseline.flat_run, baseline.zero_run, saturated)
     valid = np.isfinite(samples)
-    for start, stop in zip(dropouts, dropout_ends, strict=True):
+    for start, stop in dropouts:
         valid[start:stop] = False
     if baseline.zero_run == MIN_ZERO_RUN:
         valid[[0, -1]] &= samples[[0, -1]] != 0.0  # they may belong to a run that continues outside
@@ -299,12 +299,11 @@ def classify(
         threshold = _threshold(-force, valid, baseline, gap)
         pulls = signal._replace(force=-force, threshold=threshold, longest=sys.maxsize, transient=sys.maxsize)
         tensile_pulses, _ = _contacts(pulls)
-    marks = [(dropouts, dropout_ends, STUCK), (glitches, glitches + 1, SINGLE_SAMPLE)]
     spans = [(first, last + 1, NO_CONTACT) for first, last in others]
-    for starts, stops, reason in marks:
-        spans += [(start, stop, reason) for start, stop in zip(starts.tolist(), stops.tolist(), strict=True)]
+    spans += [(start, stop, STUCK) for start, stop in dropouts.tolist()]
+    spans += [(index, index + 1, SINGLE_SAMPLE) for index in glitches.tolist()]
     remainders = _remainders(samples - baseline.force, baseline.threshold, contacts, spans)
-    return Segment(contacts, tensile_pulses, dropouts, glitches, remainders)
+    return Segment(contacts, tensile_pulses, dropouts[:, 0], glitches, remainders)
 
 
 def _remainders(
@@ -323,17 +322,16 @@ def _remainders(
     return [remainder for remainder in remainders if remainder.peak > threshold]
 
 
-def flat_runs(
-    samples: FloatArray, flat_run: int, zero_run: int, saturated: BoolArray
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return start and stop of each dropout in `samples` (n,).
+def flat_runs(samples: FloatArray, flat_run: int, zero_run: int, saturated: BoolArray) -> NDArray[np.intp]:
+    """Return start and stop (k, 2) of each dropout in `samples` (n,).
 
     A dropout is a run of at least `flat_run` equal samples, or of `zero_run` exact zeros. `saturated` (n,) samples do
     not count, because they repeat at the end of the measuring range.
     """
-    first, last = true_runs((samples[1:] == samples[:-1]) & ~saturated[1:]).T
-    long_enough = last - first + 1 >= np.where(samples[first] == 0.0, zero_run, flat_run)
-    return first[long_enough], last[long_enough] + 1
+    runs = true_runs((samples[1:] == samples[:-1]) & ~saturated[1:]) + np.array((0, 1))
+    min_run = np.where(samples[runs[:, 0]] == 0.0, zero_run, flat_run)
+    dropouts: NDArray[np.intp] = runs[np.diff(runs)[:, 0] >= min_run]
+    return dropouts
 
 
 def lone_samples(force: FloatArray, threshold: float) -> NDArray[np.intp]:

@@ -191,14 +191,14 @@ def test_stuck_runs_are_those_of_groupby(values: list[int], flat_run: int, zero_
     samples = np.array(values, dtype=float)
     groups = [(value, list(group)) for value, group in groupby(range(len(values)), values.__getitem__)]
     expected = [group for value, group in groups if len(group) >= (zero_run if value == 0 else flat_run)]
-    first, stop = flat_runs(samples, flat_run, zero_run, np.zeros(samples.size, dtype=np.bool_))
+    first, stop = flat_runs(samples, flat_run, zero_run, np.zeros(samples.size, dtype=np.bool_)).T
     assert [list(range(i, k)) for i, k in zip(first, stop, strict=True)] == expected
     assert longest_flat_run(samples) == max(len(group) for _, group in groups)
 
 
 def test_saturated_samples_are_not_stuck() -> None:
-    first, _ = flat_runs(np.full(9, 2224.0), 3, 2, np.ones(9, dtype=np.bool_))
-    assert not first.size
+    runs = flat_runs(np.full(9, 2224.0), 3, 2, np.ones(9, dtype=np.bool_))
+    assert not runs.size
 
 
 def test_lone_samples() -> None:
