@@ -28,7 +28,7 @@ from scara_effmass.safety.assessments import joined
 from scara_effmass.safety.monitor import Pending
 from scara_effmass.settings import MonitorSettings, VelocitySource
 from scara_effmass.values import Decision, FloatArray, JointState, Payload
-from scara_effmass.wire.message_types import INERTIA
+from scara_effmass.wire.message_types import INERTIA, JOINT_STATE
 from scara_effmass.wire.payload import decode_payload
 from scara_effmass.wire.topics import JOINT_COMMANDS
 
@@ -110,28 +110,8 @@ class AssessedStates:
 
 
 def joint_state_topic(bag: Bag, requested: str | None) -> str:
-    """Return the topic to assess: the requested one, else `joint_states`, else the only one with joint states.
-
-    Raises BagError, which lists the candidates, if no topic or several topics match.
-    """
-    if not bag.joint_state_topics:
-        raise BagError(f"{bag.path}: no topic holds joint states (sensor_msgs/JointState)")
-    return chosen_topic(bag, bag.joint_state_topics, requested or "", "joint_states", "joint states", "--topic")
-
-
-def chosen_topic(bag: Bag, topics: Sequence[str], requested: str, usual: str, content: str, option: str) -> str:
-    """Return the `requested` one of `topics`, which hold `content`; else the `usual` one, else the only one.
-
-    Raises BagError, which lists them.
-    """
-    # ROS 1 recorders omit the leading slash, and so do users.
-    matches = [topic for topic in topics if topic.lstrip("/") == (requested or usual).lstrip("/")]
-    if not (matches or requested):
-        matches = list(topics)
-    if len(matches) == 1:
-        return matches[0]
-    problem = f"no {content} on {requested}" if requested else f"several topics hold {content}"
-    raise BagError(f"{bag.path}: {problem}; {option} must be one of {', '.join(topics)}")
+    """Return the topic to assess: the requested one, else as `Bag.find_topic`, which raises BagError."""
+    return bag.find_topic(requested or "", (JOINT_STATE,), "--topic").name
 
 
 def assess_joint_states(

@@ -10,12 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scara_effmass.analysis.assessment import chosen_topic
 from scara_effmass.analysis.time_series import decimate
 from scara_effmass.bags.bag import Bag
 from scara_effmass.bags.batches import LossLog, Topic
 from scara_effmass.bags.files import open_bag
-from scara_effmass.errors import BagError
 from scara_effmass.impacts.detector import Detector
 from scara_effmass.importers.force import IMPORTERS, import_force, import_wrenches
 from scara_effmass.importers.force_file import TABLE_SETTINGS, refuse_settings
@@ -24,8 +22,8 @@ from scara_effmass.values import NAN, FloatArray, ForceBlock, Impact
 from scara_effmass.wire.cdr import NS
 from scara_effmass.wire.message_types import FORCE_BLOCK, IMPACT, WRENCH, WRENCH_STAMPED
 
-USUAL = {FORCE_BLOCK: "force", IMPACT: "impact", WRENCH_STAMPED: "wrench", WRENCH: "wrench"}
-"""Usual topic of each type of measurement, in the order of preference."""
+MEASUREMENTS = (FORCE_BLOCK, IMPACT, WRENCH_STAMPED, WRENCH)
+"""Types of measurements, in the order of preference."""
 IMPORT_SETTINGS = (*TABLE_SETTINGS, "axis", "unit", "sensor.invert", "sensor.sensitivity", "sensor.range")
 """Settings without effect on force blocks and impacts."""
 BEFORE_S = 0.01
@@ -103,17 +101,8 @@ def detected_impacts(values: Iterable[ForceBlock | Impact], detector: Detector |
 
 
 def measurement_topic(bag: Bag, name: str) -> Topic:
-    """Return the topic `name`, or without a name that of the first type in USUAL that the bag has.
-
-    Of several topics of that type, the one with the usual name is taken. Raises BagError if none or several remain.
-    """
-    candidates = [topic for kind in USUAL for topic in bag.topics if topic.type == kind and topic.count]
-    if not candidates:
-        raise BagError(f"{bag.path}: must hold {FORCE_BLOCK} or {IMPACT}, as daq publishes them, or {WRENCH_STAMPED}")
-    kind = candidates[0].type
-    names = [topic.name for topic in candidates if name or topic.type == kind]
-    chosen = chosen_topic(bag, names, name, USUAL[kind], "force", "--force-topic")
-    return next(topic for topic in candidates if topic.name == chosen)
+    """Return the topic of force or impacts `name`, else as `Bag.find_topic`, which raises BagError."""
+    return bag.find_topic(name, MEASUREMENTS, "--force-topic")
 
 
 def file_measurements(path: Path, settings: ImportSettings, losses: LossLog) -> Iterator[Measurement]:

@@ -27,9 +27,25 @@ from scara_effmass.errors import BagError, DecodeError
 from scara_effmass.values import ForceBlock, Impact, RunInfo
 from scara_effmass.wire.force import decode_force_block, decode_impact
 from scara_effmass.wire.former_contact_state import DEFINITION
-from scara_effmass.wire.message_types import FORCE_BLOCK, FORMER_CONTACT_STATE, IMPACT, JOINT_STATE, RUN_INFO
+from scara_effmass.wire.message_types import (
+    FORCE_BLOCK,
+    FORMER_CONTACT_STATE,
+    IMPACT,
+    JOINT_STATE,
+    RUN_INFO,
+    WRENCH,
+    WRENCH_STAMPED,
+)
 from scara_effmass.wire.run_info import decode_run_info
 
+USUAL = {
+    JOINT_STATE: "joint_states",
+    FORCE_BLOCK: "force",
+    IMPACT: "impact",
+    WRENCH_STAMPED: "wrench",
+    WRENCH: "wrench",
+}
+"""Usual topic of each type."""
 Decoded = TypeVar("Decoded")
 
 
@@ -106,7 +122,8 @@ class Bag(ABC):
     def find_topic(self, name: str, types: Sequence[str], setting: str = "topic", remedy: str = "") -> Topic:
         """Return the topic `name`, with or without a leading slash; if empty, the only one of the first of `types`.
 
-        Topics without messages do not count. Raises BagError, which names the `setting` and the choice, or `remedy`.
+        Of several of that type, the one with the USUAL name is taken. Topics without messages do not count. Raises
+        BagError, which names the `setting` and the choice, or `remedy`.
         """
         topics = [topic for kind in types for topic in self.topics if topic.type == kind and topic.count]
         if not topics:
@@ -115,6 +132,8 @@ class Bag(ABC):
             candidates = [topic for topic in topics if topic.name.lstrip("/") == name.lstrip("/")]
         else:
             candidates = [topic for topic in topics if topic.type == topics[0].type]
+            usual = USUAL.get(topics[0].type)
+            candidates = [topic for topic in candidates if topic.name.lstrip("/") == usual] or candidates
         if len(candidates) != 1:
             choices = ", ".join(f"{topic.name} ({topic.type})" for topic in candidates or topics)
             raise BagError(f"{self.path}: {setting} {f'= {name}' if name else 'is empty'}: must be one of {choices}")

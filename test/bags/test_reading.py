@@ -200,12 +200,14 @@ class TestEveryFormat:
                 bag.messages(["/nope"])
 
 
-def test_several_topics_of_joint_states_require_a_topic(tmp_path: Path) -> None:
-    messages = [joint_state(0), joint_state(1)._replace(topic="/gripper/joint_states")]
-    with open_bag(write_mcap(tmp_path / "a.mcap", messages)) as bag:
-        with pytest.raises(BagError, match=r"topic is empty: must be one of /gripper/joint_states .*, /joint_states "):
+def test_several_topics_of_joint_states_require_a_topic_unless_one_has_the_usual_name(tmp_path: Path) -> None:
+    messages = [joint_state(number)._replace(topic=f"/{name}/joint_states") for number, name in enumerate(("a", "b"))]
+    with open_bag(write_mcap(tmp_path / "two.mcap", messages)) as bag:
+        with pytest.raises(BagError, match=r"topic is empty: must be one of /a/joint_states .*, /b/joint_states "):
             bag.joint_state_blocks()
-        assert_states(bag, messages[1:], "/gripper/joint_states")
+        assert_states(bag, messages[1:], "/b/joint_states")
+    with open_bag(write_mcap(tmp_path / "three.mcap", [*messages, joint_state(2)])) as bag:
+        assert sum(len(block.stamp_ns) for block in bag.joint_state_blocks()) == 1
 
 
 def test_bag_without_joint_states_is_refused(tmp_path: Path) -> None:

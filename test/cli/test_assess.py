@@ -449,7 +449,7 @@ def test_several_topics_need_the_topic_option(swing_bag: Path, cli: Cli, refused
             two.write("/left/joint_states", JOINT_STATE, message.log_time_ns, message.data)
             two.write("/right/joint_states", JOINT_STATE, message.log_time_ns, message.data)
     words = ("assess", tmp_path / "two.mcap", "-o", tmp_path / "a.csv")
-    choice = "several topics hold joint states; --topic must be one of /left/joint_states, /right/joint_states"
+    choice = "--topic is empty: must be one of /left/joint_states (sensor_msgs/msg/JointState), /right/joint_states "
     assert choice in refused(*words)
     assert cli(*words, "--topic", "left/joint_states").returncode == 0
 

@@ -148,11 +148,11 @@ REFUSALS: dict[str, tuple[list[str], str]] = {
     "not a bag": (["assess", ROBOT, "-o", "a.csv"], "is not a bag; expected MCAP"),
     "wrong topic": (
         ["assess", TOUR, "-o", "a.csv", "--topic", "/arm"],
-        "no joint states on /arm; --topic must be one",
+        "--topic = /arm: must be one of /",
     ),
     "wrong topic of a demo": (
         ["demo", "--bag", TOUR, "--topic", "/arm"],
-        "no joint states on /arm; --topic must be one of /joint_states",
+        "--topic = /arm: must be one of /joint_states (sensor_msgs/msg/JointState)",
     ),
     "topic of a demo without a bag": (["demo", "--topic", "/arm"], "demo: --topic = /arm: the simulated cell has"),
     "robot of a demo without a bag": (

@@ -156,10 +156,10 @@ def test_value_that_is_not_finite_is_nan(tmp_path: Path) -> None:
 
 
 def test_ambiguous_topic_is_refused(tmp_path: Path) -> None:
-    messages = block_messages([force_block(0)]) + block_messages([force_block(0)], "/force/ai1")
+    messages = [message for name in ("ai0", "ai1") for message in block_messages([force_block(0)], f"/force/{name}")]
     path = write_messages(tmp_path / "two", messages)
     for topic, setting in (("", "bag.topic is empty"), ("/f", "bag.topic = /f")):
-        with pytest.raises(BagError, match=f"two: {setting}: must be one of /force .*, /force/ai1 "):
+        with pytest.raises(BagError, match=f"two: {setting}: must be one of /force/ai0 .*, /force/ai1 "):
             played(path, topic)
     assert len(played(path, "force/ai1")) == 1
 
