@@ -5,6 +5,7 @@ import threading
 import time
 import traceback
 from collections.abc import Sequence
+from functools import partial
 from importlib import import_module
 
 import numpy as np
@@ -49,14 +50,12 @@ class NodeSettings(parameters.NodeParameters, DaqSettings):
     )
 
 
-class DaqNode(LifecycleBase):
+class DaqNode(LifecycleBase[NodeSettings]):
     """Publish `force`, `impact`, `wrench` and `/diagnostics`; further channels publish below these names."""
 
     def __init__(self) -> None:
         """Declare the parameters. Raises SettingsError."""
-        super().__init__("daq")
-        self._settings = parameters.declare(self, NodeSettings)
-        self.autostart = self._settings.autostart
+        super().__init__("daq", NodeSettings)
         self._outputs: list[_Output] = []
         self._acquisition: Acquisition | None = None
         self._state: AcquisitionState | None = None
@@ -65,7 +64,7 @@ class DaqNode(LifecycleBase):
 
     def configure(self) -> None:
         """Create the source and the endpoints. Raises EffmassError."""
-        settings = self._settings
+        settings = self.settings
         self._source: ForceSource = make_source(settings, self.now_ns)
         if self.get_parameter("use_sim_time").value and not self._source.uses_ros_time:
             kind = settings.source.value
@@ -76,7 +75,7 @@ class DaqNode(LifecycleBase):
             _Output(self, f"/{name}" if number else "", settings) for number, name in enumerate(self._source.channels)
         ]
         self.own(self._outputs, list.clear)
-        self._diagnostics = Diagnostics(self, self._statuses, settings.status_period)
+        self._diagnostics = Diagnostics(self, self._statuses)
         self.create_steady_timer(_IMPACT_INTERVAL_S, self._publish_waiting)
         self.create_owned_trigger("~/reset", self._reset)
 
@@ -85,10 +84,10 @@ class DaqNode(LifecycleBase):
         source = self._source
         if source.subscriber_timeout:
             self._await_subscriber()
-        acquisition = Acquisition(source, self._settings, self._wake)
+        acquisition = Acquisition(source, self.settings, self._wake)
         acquisition.start()
         self._acquisition = acquisition
-        self._signal = SignalConditioner(source, self._settings)
+        self._signal = SignalConditioner(source, self.settings)
         for output in self._outputs:
             output.reset()
         requested = "" if source.sample_rate == source.requested_rate else f" (requested: {source.requested_rate:.9g})"
@@ -179,7 +178,7 @@ class DaqNode(LifecycleBase):
         self.get_logger().info(f"{self._source.description}: ended")
         if losses:
             self.get_logger().warning(losses)
-        self._is_over = self._settings.stop_at_end
+        self._is_over = self.settings.stop_at_end
 
     def _publish_impacts(self, output: "_Output", impacts: Sequence[values.Impact]) -> None:
         output.publish_impacts(impacts)
@@ -206,13 +205,13 @@ class DaqNode(LifecycleBase):
         if self._acquisition is None or self._state is not AcquisitionState.RUNNING:
             raise DaqError("refused: no acquisition is running")
         self._signal.begin_tare()
-        return f"taring over the next {self._settings.tare.time:g} s"
+        return f"taring over the next {self.settings.tare.time:g} s"
 
 
 class _Output:
     """Topics and impact detection of one channel."""
 
-    def __init__(self, node: LifecycleBase, suffix: str, settings: DaqSettings) -> None:
+    def __init__(self, node: DaqNode, suffix: str, settings: DaqSettings) -> None:
         self._settings = settings
         self._lock = threading.Lock()  # a signal has a thread of its own
         self.waiting: list[values.Impact] = []
@@ -280,6 +279,4 @@ class _Output:
             self._wrench.publish(message)
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the node with the ROS arguments `args`; None means those of the process."""
-    return run("daq", DaqNode, args)
+main = partial(run, "daq", DaqNode)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
-from scara_effmass.nodes.lifecycle import LifecycleBase
+from scara_effmass.nodes.lifecycle import AnyNode
 from scara_effmass.nodes.terminal import NodeLog
 from scara_effmass.wire.topics import DIAGNOSTICS
 
@@ -19,19 +19,17 @@ class Diagnostics:
     `log` takes the events of the node.
     """
 
-    def __init__(
-        self, node: LifecycleBase, statuses: Callable[[], list[DiagnosticStatus]], status_period_s: float
-    ) -> None:
+    def __init__(self, node: AnyNode, statuses: Callable[[], list[DiagnosticStatus]]) -> None:
         """Publish what `statuses` returns, unless it is empty, while `node` is configured.
 
         The full name of the node precedes the name of each status, which makes it unique. While the node is active, it
-        logs a summary every `status_period_s` [s]; 0: never.
+        logs a summary every `status_period`.
         """
         self._node = node
         self._statuses = statuses
         self._latest: list[DiagnosticStatus] = []
         self.log = NodeLog(node)
-        node.create_status_timer(status_period_s, self._log_status)
+        node.create_status_timer(self._log_status)
         self._publisher = node.own(
             node.create_lifecycle_publisher(DiagnosticArray, DIAGNOSTICS, 10), node.destroy_lifecycle_publisher
         )

@@ -14,7 +14,7 @@ from collections.abc import Set as AbstractSet
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial, wraps
 from itertools import pairwise
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 import rclpy
 from lifecycle_msgs.srv import ChangeState
@@ -52,11 +52,12 @@ from std_srvs.srv import Trigger
 from scara_effmass.codes import Reason
 from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.nodes import parameters
+from scara_effmass.nodes.parameters import Parameters
 from scara_effmass.nodes.process import END_SIGNALS, catch, one_line, start_refusal
 from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.nodes.readiness import PERIOD_S, readiness_reporter
 from scara_effmass.nodes.realtime import use_realtime
-from scara_effmass.settings.loading import READ_ONLY, Settings, flat_fields
+from scara_effmass.settings.loading import READ_ONLY, flat_fields
 from scara_effmass.streams import open_standard_streams
 from scara_effmass.wire.topics import INFO_QOS, Qos
 
@@ -83,29 +84,35 @@ _PUBLISHER_OVERRIDES = (
 """QoS policies of publishers that parameters may override."""
 
 
-class LifecycleBase(LifecycleNode):
+class LifecycleBase(LifecycleNode, Generic[Parameters]):
     """Lifecycle node that logs why a transition failed, can bring itself up, and can end the process with an error.
 
-    Subclasses implement `configure`, `activate` and `deactivate`. Entities that `own` or a method `create_owned_*`
-    returns are destroyed at clean-up.
+    Subclasses implement `configure`, `activate`, `deactivate` and, if parameters may change while the node is
+    configured, `check_settings` and `apply_settings`. Entities that `own` or a method `create_owned_*` returns are
+    destroyed at clean-up.
     """
 
-    def __init__(self, name: str) -> None:
-        """Create the node; the subclass declares the parameters."""
+    def __init__(self, name: str, kind: type[Parameters]) -> None:
+        """Create the node, and declare the parameters of its `kind`. Raises SettingsError for an invalid one.
+
+        A parameter that is fixed can change only while the node is unconfigured.
+        """
         try:
             super().__init__(name)
         except REFUSALS as error:  # such as security that the middleware does not have
             if not rclpy.ok():  # a signal has ended ROS meanwhile
                 raise
             raise SettingsError(f"{name}: {one_line(error)}") from None
-        self.autostart = True
+        self.settings = parameters.declare(self, kind)
+        self._fields = flat_fields(kind)
+        self.set_read_only(read_only=False)
+        self.add_on_set_parameters_callback(self._on_set)
+        self.add_post_set_parameters_callback(self._after_set)
         self.active = False
         self.stopping = threading.Event()
         """Set by a signal that ends the process, so that a transition can stop waiting."""
         self._mismatches: dict[str, str] = {}
         """The topic of each line of `incompatible_qos`."""
-        self.fixed_parameters: Sequence[str] = ()
-        """Parameters that can change only while the node is unconfigured."""
         self._is_starting = False
         self._abort_error: EffmassError | None = None
         self._owned = ExitStack()
@@ -248,53 +255,44 @@ class LifecycleBase(LifecycleNode):
         timer = self.create_timer(period_s, call, clock=Clock(clock_type=ClockType.STEADY_TIME))
         return self.own(timer, destroy) if owned else timer
 
-    def create_status_timer(self, period_s: float, log: Callable[[], None]) -> None:
-        """Call `log` every `period_s` [s] while the node is active; 0: never."""
-        if period_s:
+    def create_status_timer(self, log: Callable[[], None]) -> None:
+        """Call `log` every `status_period` while the node is active; 0: never."""
+        if period_s := self.settings.status_period:
             self.create_steady_timer(period_s, lambda: log() if self.active else None)
 
-    def on_parameters_changed(
-        self,
-        current: Callable[[], Settings],
-        apply: Callable[[Settings, AbstractSet[str]], None],
-        validate: Callable[[Settings], object] = lambda _: None,
-    ) -> None:
-        """Call `apply` with the new settings and the names of the changed parameters after every change.
+    def check_settings(self, settings: Parameters) -> None:
+        """Raise EffmassError, whose text becomes the reason, for settings that the node refuses."""
 
-        Refuse a change if the settings model or `validate` raises EffmassError, whose text becomes the reason. What is
-        fixed on a configured node can change while it is unconfigured.
+    def apply_settings(self, changed: AbstractSet[str]) -> None:
+        """Use `settings`, in which the parameters `changed` are new."""
+
+    def _with_changes(self, changes: list[Parameter]) -> Parameters | None:
+        """Return the settings with `changes`. Raises SettingsError.
+
+        Return None if there is no setting among them: each endpoint declares several parameters of its own.
         """
-        fields = flat_fields(type(current()))
-        fixed = [name for name, field in fields.items() if field.json_schema_extra == READ_ONLY]
-        self.fixed_parameters = [name for name in fixed if name != "autostart"]
-        self.set_read_only(read_only=False)
+        if self._fields.keys().isdisjoint(change.name for change in changes):
+            return None
+        return parameters.changed_settings(self.settings, changes, self.get_name())
 
-        def changed(changes: list[Parameter]) -> Settings:
-            return parameters.changed_settings(current(), changes, self.get_name())
+    def _on_set(self, changes: list[Parameter]) -> SetParametersResult:
+        try:
+            if (settings := self._with_changes(changes)) is not None:
+                self.check_settings(settings)
+        except EffmassError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
 
-        def is_own(changes: list[Parameter]) -> bool:
-            """Return whether a setting is among the changes; each endpoint declares several parameters of its own."""
-            return any(change.name in fields for change in changes)
-
-        def on_set(changes: list[Parameter]) -> SetParametersResult:
-            try:
-                if is_own(changes):
-                    validate(changed(changes))
-            except EffmassError as error:
-                return SetParametersResult(successful=False, reason=str(error))
-            return SetParametersResult(successful=True)
-
-        def after_set(changes: list[Parameter]) -> None:
-            if is_own(changes):
-                apply(changed(changes), {change.name for change in changes})
-
-        self.add_on_set_parameters_callback(on_set)
-        self.add_post_set_parameters_callback(after_set)
+    def _after_set(self, changes: list[Parameter]) -> None:
+        if (settings := self._with_changes(changes)) is not None:
+            self.settings = settings
+            self.apply_settings({change.name for change in changes})
 
     def set_read_only(self, *, read_only: bool) -> None:
-        """Mark the fixed parameters as read-only or writable."""
-        for name in self.fixed_parameters:
-            self.describe_parameter(name).read_only = read_only
+        """Mark the fixed parameters as read-only or writable; `autostart` has no effect after the start."""
+        for name, field in self._fields.items():
+            if field.json_schema_extra == READ_ONLY and name != "autostart":
+                self.describe_parameter(name).read_only = read_only
 
     def now_ns(self) -> int:
         """Return the time of the node's clock [ns]."""
@@ -389,6 +387,9 @@ class LifecycleBase(LifecycleNode):
         return response
 
 
+AnyNode = LifecycleBase[Any]
+
+
 def with_info(callback: Callable[[bytes, dict[str, Any]], None]) -> Callable[..., None]:
     """Return `callback` for any executor: the EventsExecutor of rclpy 7.1 passes message and info as one tuple."""
 
@@ -399,13 +400,13 @@ def with_info(callback: Callable[[bytes, dict[str, Any]], None]) -> Callable[...
     return receive
 
 
-def run(name: str, node_class: Callable[[], LifecycleBase], args: Sequence[str] | None) -> int:
+def run(name: str, node_class: Callable[[], AnyNode], args: Sequence[str] | None = None) -> int:
     """Run the node `name` until a signal ends it. Return 0, or 2 with one line on stderr and /rosout after an error.
 
     `args` are the arguments without the program name; None means those of the process.
     """
     arguments = sys.argv[1:] if args is None else list(args)
-    node: LifecycleBase | None = None
+    node: AnyNode | None = None
     executor: Executor | None = None
 
     stopped = False
@@ -434,7 +435,7 @@ def run(name: str, node_class: Callable[[], LifecycleBase], args: Sequence[str] 
                 executor = EventsExecutor()
                 faulthandler.enable(terminal)  # the executor lets it write to a pipe, which a crash would not empty
                 executor.add_node(node)
-                if node.autostart:
+                if node.settings.autostart:
                     node.bring_up()
                 # Exempt existing objects: a full garbage collection would stop a 1 kHz stream for milliseconds.
                 gc.collect()
@@ -562,20 +563,20 @@ def _log_refusal(name: str, error: EffmassError, arguments: list[str]) -> None:
         publisher.wait_for_all_acked(Duration(seconds=_ROSOUT_ACK_S))
 
 
-def _publish_last(node: LifecycleBase | None, reason: Reason, detail: str = "") -> None:
+def _publish_last(node: AnyNode | None, reason: Reason, detail: str = "") -> None:
     if node is not None:
         node.publish_last(reason, detail)
 
 
-def _use_thread_priority(node: LifecycleBase) -> None:
-    if priority := node.get_parameter("thread_priority").value:
+def _use_thread_priority(node: AnyNode) -> None:
+    if priority := node.settings.thread_priority:
         if refusal := use_realtime(priority):
             node.get_logger().warning(f"thread_priority = {priority}: not permitted: {refusal}; goes on without")
         else:
             node.get_logger().info(f"SCHED_FIFO at priority {priority}, memory locked")
 
 
-def _end(node: LifecycleBase | None, executor: Executor | None) -> None:
+def _end(node: AnyNode | None, executor: Executor | None) -> None:
     """Destroy what `run` created."""
     if node is not None:
         node.deactivate()  # its threads must not wake the executor after its shutdown

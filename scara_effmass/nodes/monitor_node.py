@@ -7,9 +7,10 @@ The watchdog has a thread of its own, so it also publishes while a callback take
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from collections.abc import Set as AbstractSet
 from contextlib import suppress
+from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -25,9 +26,8 @@ from scara_effmass.codes import Reason
 from scara_effmass.errors import DecodeError
 from scara_effmass.iso15066 import limits_for
 from scara_effmass.model.robot import Robot
-from scara_effmass.nodes import parameters
 from scara_effmass.nodes.diagnostics import Diagnostics, no_publisher
-from scara_effmass.nodes.lifecycle import LifecycleBase, RCLError, run, with_info
+from scara_effmass.nodes.lifecycle import RCLError, run, with_info
 from scara_effmass.nodes.monitor_health import (
     Latencies,
     cause_text,
@@ -37,13 +37,12 @@ from scara_effmass.nodes.monitor_health import (
     worst_contacts,
 )
 from scara_effmass.nodes.overload import newest_waiting
-from scara_effmass.nodes.robot_input import NO_DESCRIPTION, label, use_robot
+from scara_effmass.nodes.robot_input import NO_DESCRIPTION, RobotNode, RobotParameters, label
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Assessments, Cause, Monitor, unknown_assessments
 from scara_effmass.safety.assumptions import RULES, deciding_mass, name_of
 from scara_effmass.safety.load_watch import Doubt
 from scara_effmass.safety.reasons import LOAD_ENTRY
-from scara_effmass.settings import MonitorSettings
 from scara_effmass.settings.loading import fixed
 from scara_effmass.values import Decision, Payload
 from scara_effmass.wire import topics
@@ -61,7 +60,7 @@ _MIN_REPORT_INTERVAL_NS = 100_000_000
 _CLOCK_CHECK_S = 0.1
 
 
-class NodeSettings(parameters.NodeParameters, MonitorSettings):
+class NodeSettings(RobotParameters):
     """Settings of the monitor and of its node."""
 
     use_reference: bool = fixed(
@@ -76,18 +75,15 @@ class NodeSettings(parameters.NodeParameters, MonitorSettings):
     )
 
 
-class MonitorNode(LifecycleBase):
+class MonitorNode(RobotNode[NodeSettings]):
     """Subscribes to `joint_states`; publishes `topics.MONITOR_OUTPUTS` and `/diagnostics`."""
 
     def __init__(self) -> None:
         """Declare the parameters. Raises SettingsError for an invalid one."""
-        super().__init__("monitor")
-        self._settings = parameters.declare(self, NodeSettings)
-        self.autostart = self._settings.autostart
-        limits_for(self._settings)
-        self.on_parameters_changed(lambda: self._settings, self._apply_settings, self._check_settings)
+        super().__init__("monitor", NodeSettings)
         self._outputs: dict[str, Any] = {}
         self._monitor: Monitor | None = None
+        self.check_settings(self.settings)
         self._first_cause: Cause | None = None
         """What `latch` holds while there is no robot."""
         self._encoder = ContactStatesEncoder()
@@ -117,8 +113,8 @@ class MonitorNode(LifecycleBase):
         self._payload_publishers = 0
         self._load_estimate: Any = None
         self._load_doubt = Doubt()
-        use_robot(self, lambda: self._settings, self._use_robot, self._refuse_robot, self._distrust_robot)
-        qos = topics.verdict_qos(self._settings.timeout)
+        self.await_robot()
+        qos = topics.verdict_qos(self.settings.timeout)
         scalar_qos = qos._replace(lifespan_s=topics.SCALAR_LIFESPAN_S)
         for message_type, topic, topic_qos in (
             (ContactStates, topics.CONTACT_STATES, qos),
@@ -127,7 +123,7 @@ class MonitorNode(LifecycleBase):
         ):
             self._outputs[topic] = self.create_owned_publisher(message_type, topic, topic_qos)
         self._estimates = self.create_owned_publisher(PayloadEstimate, topics.PAYLOAD_ESTIMATE, topics.DESCRIPTION_QOS)
-        self._diagnostics = Diagnostics(self, self._statuses, self._settings.status_period)
+        self._diagnostics = Diagnostics(self, self._statuses)
         self._joint_states = self.create_owned_subscription(
             JointState,
             topics.JOINT_STATES,
@@ -136,12 +132,12 @@ class MonitorNode(LifecycleBase):
             raw=True,
             matched=self._on_matched,
         )
-        if self._settings.command_tolerance:
+        if self.settings.command_tolerance:
             self._command_decoder = JointStateDecoder()
             self.create_owned_subscription(
                 JointState, topics.JOINT_COMMANDS, with_info(self._on_command), topics.JOINT_STATES_INPUT_QOS, raw=True
             )
-        if topic := self._settings.payload_topic:
+        if topic := self.settings.payload_topic:
             self.create_owned_subscription(
                 Inertia,
                 topic,
@@ -192,13 +188,13 @@ class MonitorNode(LifecycleBase):
         self._monitor = None
         self._encoder.frame_id = ""
 
-    def _use_robot(self, robot: Robot) -> None:
+    def use_robot(self, robot: Robot) -> None:
         """Monitor `robot`. Raises EffmassError."""
         dynamics = RobotDynamics(robot)
-        monitor = Monitor(dynamics, self._settings, use_reference=self._settings.use_reference)
+        monitor = Monitor(dynamics, self.settings, use_reference=self.settings.use_reference)
         monitor.compile()
-        if self._settings.command_tolerance:
-            monitor.expect_commands(self._settings.command_tolerance)
+        if self.settings.command_tolerance:
+            monitor.expect_commands(self.settings.command_tolerance)
         with self._monitor_lock:
             doubt = "" if self._no_robot_reason == NO_DESCRIPTION else self._no_robot_reason
             if self._monitor is not None:
@@ -215,7 +211,7 @@ class MonitorNode(LifecycleBase):
             self._no_robot_reason = ""
         self.get_logger().info(f"monitoring {label(robot)} at {', '.join(dynamics.contact_points)}")
         self._log_assumptions(monitor)
-        mass = deciding_mass(dynamics, self._settings.effective_mass_model)
+        mass = deciding_mass(dynamics, self.settings.effective_mass_model)
         self.get_logger().info(f"deciding mass: {mass}; payload: {monitor.payload_text}")
         for line in (*robot.notes, *missing_models(dynamics)):
             if line != robot.rotors.warning:  # which is in the status of the model
@@ -241,7 +237,7 @@ class MonitorNode(LifecycleBase):
         An answer to a state of long ago helps nobody, and delays the next. In simulated time, every state is answered.
         """
         self._received += 1
-        timeout_ns = self._settings.timeout * 1e9
+        timeout_ns = self.settings.timeout * 1e9
         waited_ns, age_ns = time.time_ns() - info["received_timestamp"], self.now_ns() - header_stamp_ns(data)
         is_late = waited_ns > _MAX_WAIT * timeout_ns or age_ns > timeout_ns
         if not is_late or self.get_parameter("use_sim_time").value:
@@ -276,7 +272,7 @@ class MonitorNode(LifecycleBase):
                 assessments = monitor.settle(monitor.refuse(Reason.UNDECODABLE, str(error), self.now_ns()))
             if assessments is not None:
                 processing_ns = time.monotonic_ns() - start_ns
-                if processing_ns > self._settings.timeout * 1e9:
+                if processing_ns > self.settings.timeout * 1e9:
                     state, seconds = assessments.states[0], processing_ns / 1e9
                     late = monitor.refuse(Reason.TOO_SLOW, "", int(state["stamp_ns"]), float(state["age"]), seconds)
                     assessments = monitor.settle(late)
@@ -315,7 +311,7 @@ class MonitorNode(LifecycleBase):
 
     def _on_payload_publishers(self, matched: QoSSubscriptionMatchedInfo) -> None:
         self._payload_publishers = count = matched.current_count
-        topic = self._settings.payload_topic
+        topic = self.settings.payload_topic
         if count != 1:
             self._payload = f"{count or 'no'} publishers of the payload on {topic}: must be one"
         elif isinstance(self._payload, str):
@@ -333,7 +329,7 @@ class MonitorNode(LifecycleBase):
             self.get_logger().info(f"payload: {text}")
 
     def _watchdog_period_s(self) -> float:
-        return max(self._settings.timeout / _WATCHDOG_CHECKS_PER_TIMEOUT, _MIN_WATCHDOG_PERIOD_S)
+        return max(self.settings.timeout / _WATCHDOG_CHECKS_PER_TIMEOUT, _MIN_WATCHDOG_PERIOD_S)
 
     def _watch(self) -> None:
         """Run the watchdog until the node is deactivated, in its own thread."""
@@ -366,7 +362,7 @@ class MonitorNode(LifecycleBase):
     def _silence_ns(self) -> int:
         """Return the time since the last answer, 0 if it is within the timeout or the node is not active."""
         silence_ns = time.monotonic_ns() - self._last_answer_ns
-        return silence_ns if self.active and silence_ns > self._settings.timeout * 1e9 else 0
+        return silence_ns if self.active and silence_ns > self.settings.timeout * 1e9 else 0
 
     def _unknown(self, reason: Reason, detail: str = "") -> Assessments:
         """Return UNKNOWN for `reason` and for every contact point, as the answer to no joint state."""
@@ -425,7 +421,8 @@ class MonitorNode(LifecycleBase):
         skipped, self._skipped_before = self._skipped - self._skipped_before, self._skipped
         return f"overload: {skipped} joint states were skipped for newer ones" if skipped else ""
 
-    def _refuse_robot(self, reason: str) -> None:
+    def refuse_robot(self, reason: str) -> None:
+        """Give UNKNOWN for `reason`."""
         with self._monitor_lock:
             self._no_robot_reason = reason
             if self._monitor is not None:
@@ -435,7 +432,8 @@ class MonitorNode(LifecycleBase):
     def _give_unknown(self, monitor: Monitor, reason: str) -> None:
         monitor.settle(monitor.refuse(Reason.NO_ROBOT, reason, self.now_ns()))
 
-    def _distrust_robot(self, reason: str) -> None:
+    def distrust_robot(self, reason: str) -> None:
+        """Give UNKNOWN for `reason` while it is not empty."""
         with self._monitor_lock:
             if self._monitor is not None:
                 self._monitor.distrust(topics.ROBOT_DESCRIPTION, reason)
@@ -476,19 +474,19 @@ class MonitorNode(LifecycleBase):
                 f"{matched.current_count} publishers on {topic}: only one may send the robot's joints"
             )
 
-    def _check_settings(self, settings: NodeSettings) -> None:
+    def check_settings(self, settings: NodeSettings) -> None:
         """Raise EffmassError for settings that the monitor would refuse."""
         if self._monitor is None:
             limits_for(settings)
         else:
             self._monitor.check(settings)
 
-    def _apply_settings(self, settings: NodeSettings, changed: AbstractSet[str]) -> None:
+    def apply_settings(self, changed: AbstractSet[str]) -> None:
+        """Assess the next joint states with the settings."""
         with self._monitor_lock:
-            self._settings = settings
             if self._monitor is not None:
                 before = self._monitor.assumptions
-                self._monitor.apply(self._settings)
+                self._monitor.apply(self.settings)
                 if self._monitor.assumptions != before:
                     self._log_assumptions(self._monitor)
                 if any(name.startswith("payload") for name in changed):
@@ -496,6 +494,4 @@ class MonitorNode(LifecycleBase):
         self._wake_watchdog.set()  # else the new period starts after the old one
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the node with ROS arguments `args`, or those of the process."""
-    return run("monitor", MonitorNode, args)
+main = partial(run, "monitor", MonitorNode)

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from enum import Enum
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, get_args, get_origin
+from typing import Any, TypeVar, get_args, get_origin
 
 from pydantic.fields import FieldInfo
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
@@ -42,6 +42,9 @@ class NodeParameters(FrozenSettings):
     thread_priority: int = fixed(
         0, "priority of all threads under SCHED_FIFO, with memory locked; 0: neither, as other processes", ge=0, le=99
     )
+
+
+Parameters = TypeVar("Parameters", bound=NodeParameters)
 
 
 def declare(node: Node, settings: type[Settings]) -> Settings:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The robot of a node: from a file, or from the topic robot_description."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from hashlib import sha256
+from typing import TypeVar
 
 from rclpy.event_handler import QoSSubscriptionMatchedInfo
 from rclpy.qos import DurabilityPolicy
@@ -14,6 +14,7 @@ from scara_effmass.model.load import build_robot, load_robot
 from scara_effmass.model.robot import Robot
 from scara_effmass.model.urdf import parse_urdf
 from scara_effmass.nodes.lifecycle import LifecycleBase
+from scara_effmass.nodes.parameters import NodeParameters
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.wire import topics
 
@@ -23,97 +24,99 @@ _DIGITS = 8
 """Digits of the hash that tells descriptions apart."""
 
 
-def use_robot(
-    node: LifecycleBase,
-    settings: Callable[[], MonitorSettings],
-    use: Callable[[Robot], None],
-    refuse: Callable[[str], None],
-    distrust: Callable[[str], None],
-) -> None:
-    """Call `use` with the robot of `settings`: now, or with `await_robot_description` at each other description.
-
-    Each `refuse(reason)` leaves the node without a robot: no description yet, or one that cannot be used. After
-    `distrust(reason)`, with two publishers, the robot counts for nothing until `distrust("")`. Raises EffmassError for
-    a robot file that cannot be used.
-    """
-    if not settings().await_robot_description:
-        use(load_robot(settings().robot_path, settings()))
-        return
-    if robot := settings().robot:
-        raise SettingsError(f"{node.get_name()}: robot = {robot!r}: must be empty with await_robot_description")
-    refuse(NO_DESCRIPTION)
-    _DescriptionInput(node, settings, use, refuse, distrust)
+class RobotParameters(NodeParameters, MonitorSettings):
+    """Parameters of a node with a robot."""
 
 
-class _DescriptionInput:
-    """Takes the robot from the only publisher of robot_description.
+Parameters = TypeVar("Parameters", bound=RobotParameters)
 
-    While there are several, none counts. When one is left, a new subscription gets its latched description, which tells
-    who is left.
+
+class RobotNode(LifecycleBase[Parameters]):
+    """Node with the robot of a file, or of the only publisher of robot_description.
+
+    While there are several publishers, none counts. When one is left, a new subscription gets its latched description,
+    which tells who is left.
     """
 
-    def __init__(
-        self,
-        node: LifecycleBase,
-        settings: Callable[[], MonitorSettings],
-        use: Callable[[Robot], None],
-        refuse: Callable[[str], None],
-        distrust: Callable[[str], None],
-    ) -> None:
-        self._node, self._settings, self._use, self._refuse, self._distrust = node, settings, use, refuse, distrust
-        self._text = ""
-        """Description of the robot in use, empty without one."""
+    def use_robot(self, robot: Robot) -> None:
+        """Work with `robot`, the first or another one. Raises EffmassError if that is impossible."""
+        raise NotImplementedError
+
+    def refuse_robot(self, reason: str) -> None:
+        """Work without a robot: there is no description yet, or one that cannot be used."""
+        raise NotImplementedError
+
+    def distrust_robot(self, reason: str) -> None:
+        """Let the robot count for nothing for this `reason`, until it is empty."""
+        raise NotImplementedError
+
+    def await_robot(self) -> None:
+        """Use the robot of a file now, or with `await_robot_description` the robot of each other description.
+
+        Raises EffmassError for a robot file that cannot be used.
+        """
+        settings = self.settings
+        if not settings.await_robot_description:
+            self.use_robot(load_robot(settings.robot_path, settings))
+            return
+        if settings.robot:
+            raise SettingsError(
+                f"{self.get_name()}: robot = {settings.robot!r}: must be empty with await_robot_description"
+            )
+        self.refuse_robot(NO_DESCRIPTION)
+        self._description = ""
+        """That of the robot in use, empty without one."""
         self._several = 0
         """Number of publishers, 0 if it is one."""
         self._subscribe()
-        node.create_steady_timer(_CHECK_S, self._subscribe_again)
+        self.create_steady_timer(_CHECK_S, self._subscribe_again)
 
     def _subscribe(self) -> None:
-        self._subscription = self._node.create_owned_subscription(
+        self._descriptions = self.create_owned_subscription(
             String,
             topics.ROBOT_DESCRIPTION,
             self._on_description,
             topics.DESCRIPTION_QOS,
-            matched=self._on_matched,
+            matched=self._on_description_matched,
         )
 
-    def _on_matched(self, _: QoSSubscriptionMatchedInfo) -> None:
+    def _on_description_matched(self, _: QoSSubscriptionMatchedInfo) -> None:
         self._has_several()
 
     def _has_several(self) -> bool:
         """Return whether several publishers can reach this node, and distrust them."""
         # The graph knows a publisher before its first message arrives.
-        publishers = self._node.get_publishers_info_by_topic(self._subscription.topic_name)
+        publishers = self.get_publishers_info_by_topic(self._descriptions.topic_name)
         count = sum(publisher.qos_profile.durability is not DurabilityPolicy.VOLATILE for publisher in publishers)
         if count > 1 and count != self._several:
             self._several = count
             reason = f"{count} publishers of {topics.ROBOT_DESCRIPTION}: must be one"
-            self._node.get_logger().error(reason)
-            self._distrust(reason)
+            self.get_logger().error(reason)
+            self.distrust_robot(reason)
         return count > 1
 
     def _subscribe_again(self) -> None:
         if not self._has_several() and self._several:
             self._several = 0
-            self._distrust(f"no {topics.ROBOT_DESCRIPTION} since it had several publishers")
-            self._node.destroy_subscription(self._subscription)
+            self.distrust_robot(f"no {topics.ROBOT_DESCRIPTION} since it had several publishers")
+            self.destroy_subscription(self._descriptions)
             self._subscribe()
 
     def _on_description(self, message: String) -> None:
         if self._has_several() or self._several:
             return
         text, name = message.data, topics.ROBOT_DESCRIPTION
-        if text != self._text:
-            self._text = ""
+        if text != self._description:
+            self._description = ""
             try:
-                stated = parse_urdf(text, name, self._settings())
+                stated = parse_urdf(text, name, self.settings)
                 digest = sha256(text.encode(errors="surrogatepass")).hexdigest()[:_DIGITS]
-                self._use(build_robot(replace(stated, origin=f"{name} {digest}"), self._settings()))
-                self._text = text
+                self.use_robot(build_robot(replace(stated, origin=f"{name} {digest}"), self.settings))
+                self._description = text
             except EffmassError as error:
-                self._refuse(str(error))
-                self._node.get_logger().error(str(error))
-        self._distrust("")
+                self.refuse_robot(str(error))
+                self.get_logger().error(str(error))
+        self.distrust_robot("")
 
 
 def label(robot: Robot) -> str:

@@ -3,7 +3,6 @@
 
 import time
 from collections import deque
-from collections.abc import Sequence
 from functools import partial
 
 from rosgraph_msgs.msg import Clock as ClockMessage
@@ -49,7 +48,7 @@ class NodeSettings(parameters.NodeParameters):
     listeners: int = fixed(1, "with clock: subscribers of joint_states that must be present before the start", ge=0)
 
 
-class SimNode(LifecycleBase):
+class SimNode(LifecycleBase[NodeSettings]):
     """Publish `joint_states` at 1 kHz and the run information of the cart in place.
 
     Without `clock` the node runs on ROS time; with it the node publishes that time and waits for slower nodes.
@@ -57,29 +56,27 @@ class SimNode(LifecycleBase):
 
     def __init__(self) -> None:
         """Declare the parameters. Raises SettingsError for an invalid one."""
-        super().__init__("sim")
-        self._settings = parameters.declare(self, NodeSettings)
-        self.autostart = self._settings.autostart
-        if self._settings.clock and self.get_parameter("use_sim_time").value:
-            raise SettingsError(f"{self.get_name()}: clock = true: use_sim_time must be false")
+        super().__init__("sim", NodeSettings)
         self._states: deque[values.JointState] = deque()
         self._carts: deque[ImpactSetup] = deque()
 
     def configure(self) -> None:
-        """Create the endpoints."""
+        """Create the endpoints. Raises SettingsError for contradicting parameters."""
+        if self.settings.clock and self.get_parameter("use_sim_time").value:
+            raise SettingsError(f"{self.get_name()}: clock = true: use_sim_time must be false")
         self._joint_states = self.create_owned_publisher(JointState, topics.JOINT_STATES, topics.STREAM_QOS)
         self._info = self.create_owned_publisher(RunInfo, topics.RUN_INFO, topics.INFO_QOS)
-        self._sim_clock = SimClock(self) if self._settings.clock else None
+        self._sim_clock = SimClock(self) if self.settings.clock else None
         self.create_steady_timer(_PERIOD_S, self._publish_due)
-        self.create_status_timer(self._settings.status_period, self._log_status)
+        self.create_status_timer(self._log_status)
 
     def activate(self) -> None:
         """Move the robot to its start."""
         now_ns = self.now_ns()
-        start_ns = round(self._settings.start * 1e3) * _MS or now_ns
-        if not self._settings.clock and start_ns < now_ns - _MAX_PAST_NS:
-            raise SettingsError(f"{self.get_name()}: start = {self._settings.start}: must be at most 60 s ago")
-        self._sim = LiveSim(start_ns, seed=self._settings.seed)
+        start_ns = round(self.settings.start * 1e3) * _MS or now_ns
+        if not self.settings.clock and start_ns < now_ns - _MAX_PAST_NS:
+            raise SettingsError(f"{self.get_name()}: start = {self.settings.start}: must be at most 60 s ago")
+        self._sim = LiveSim(start_ns, seed=self.settings.seed)
         self._states.clear()
         self._carts.clear()
         self._start_ns = self._time_ns = start_ns
@@ -91,7 +88,7 @@ class SimNode(LifecycleBase):
             return
         if self._sim_clock is None:
             now_ns = self.now_ns()
-        elif self._joint_states.get_subscription_count() >= self._settings.listeners:
+        elif self._joint_states.get_subscription_count() >= self.settings.listeners:
             now_ns = self._sim_clock.advance()
         else:
             self._sim_clock.hold()
@@ -100,7 +97,7 @@ class SimNode(LifecycleBase):
         self._states += output.joint_states
         self._carts += output.carts
         while self._carts and self._carts[0].start_ns <= now_ns:
-            note = f"simulated (MuJoCo): the robot hits a cart\ngenerator = sim_node, seed = {self._settings.seed}"
+            note = f"simulated (MuJoCo): the robot hits a cart\ngenerator = sim_node, seed = {self.settings.seed}"
             info = self._carts.popleft().run_info(note)
             self._info.publish(run_info_message(info))
             self.get_logger().info(f"simulated cart of {info.obstacle_mass:.3g} kg in place: {info.configuration}")
@@ -109,7 +106,7 @@ class SimNode(LifecycleBase):
         self._time_ns = now_ns
 
     def _log_status(self) -> None:
-        count, needed = self._joint_states.get_subscription_count(), self._settings.listeners * self._settings.clock
+        count, needed = self._joint_states.get_subscription_count(), self.settings.listeners * self.settings.clock
         waits = f": waits for {needed}" * (count < needed)
         simulated_s = (self._time_ns - self._start_ns) / _NS
         self.get_logger().info(f"simulated {simulated_s:.1f} s, {count} subscribers of joint_states{waits}")
@@ -118,7 +115,7 @@ class SimNode(LifecycleBase):
 class SimClock:
     """Simulated time on /clock: real time, slowed down for the other nodes."""
 
-    def __init__(self, node: LifecycleBase) -> None:
+    def __init__(self, node: SimNode) -> None:
         """Create the publisher of the clock and the subscriptions to the outputs of the other nodes."""
         self._publisher = node.own(
             node.create_publisher(ClockMessage, topics.CLOCK, qos_profile(topics.CLOCK_QOS)), node.destroy_publisher
@@ -159,6 +156,4 @@ class SimClock:
         self._done_ns[topic] = max(self._done_ns.get(topic, 0), header_stamp_ns(data))
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the node with ROS arguments `args`, or those of the process."""
-    return run("sim", SimNode, args)
+main = partial(run, "sim", SimNode)

@@ -8,8 +8,8 @@ first one is silent.
 import math
 import threading
 import time
-from collections.abc import Sequence
 from enum import Enum
+from functools import partial
 
 from control_msgs.msg import SpeedScalingFactor
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -23,7 +23,7 @@ from scara_effmass.codes import Reason
 from scara_effmass.errors import DecodeError
 from scara_effmass.nodes.diagnostics import Diagnostics, status
 from scara_effmass.nodes.lifecycle import LifecycleBase, run
-from scara_effmass.nodes.parameters import NodeParameters, declare
+from scara_effmass.nodes.parameters import NodeParameters
 from scara_effmass.safety.reasons import plain_text
 from scara_effmass.settings.loading import fixed
 from scara_effmass.wire import topics
@@ -69,21 +69,19 @@ class NodeSettings(NodeParameters):
     )
 
 
-class SpeedScalingNode(LifecycleBase):
+class SpeedScalingNode(LifecycleBase[NodeSettings]):
     """Subscribes to `contact_states`; publishes `joint_trajectory_controller/speed_scaling_input`, `/diagnostics`."""
 
     def __init__(self) -> None:
         """Declare the parameters. Raises SettingsError for an invalid one."""
-        super().__init__("speed_scaling")
-        self._settings = declare(self, NodeSettings)
-        self.autostart = self._settings.autostart
+        super().__init__("speed_scaling", NodeSettings)
         self._lock = threading.Lock()
         """Held while the factor is changed and published."""
         self._publishing = False
 
     def configure(self) -> None:
         """Create the endpoints."""
-        settings = self._settings
+        settings = self.settings
         self._factor, self._reason = 0.0, ""
         self._stops, self._unreported = 0, ""
         """Number of stops, and the reason of one since the last report."""
@@ -95,7 +93,7 @@ class SpeedScalingNode(LifecycleBase):
             self.create_owned_subscription(self._type, topics.SPEED_SCALING_INPUT, self._on_factor, topics.Qos(10))
         else:
             self._subscribe_to_contact_states()
-        self._diagnostics = Diagnostics(self, self._statuses, settings.status_period)
+        self._diagnostics = Diagnostics(self, self._statuses)
         self.create_steady_timer(1.0 / settings.rate, self._publish)
 
     def _subscribe_to_contact_states(self) -> None:
@@ -103,7 +101,7 @@ class SpeedScalingNode(LifecycleBase):
             ContactStates,
             topics.CONTACT_STATES,
             self._on_contact_states,
-            topics.verdict_qos(self._settings.timeout),
+            topics.verdict_qos(self.settings.timeout),
             raw=True,
             deadline=lambda _: self._stop("deadline of contact_states missed"),
             liveliness=self._on_liveliness,
@@ -111,7 +109,7 @@ class SpeedScalingNode(LifecycleBase):
 
     def activate(self) -> None:
         """Start at 0."""
-        settings = self._settings
+        settings = self.settings
         self._scaler = SpeedScaler(round(settings.timeout * 1e9), time.monotonic_ns())
         self._scaler.latency_ns = round(settings.latency * 1e9)
         self._scaler.rise_rate, self._scaler.speed_ratio = settings.rise_rate, settings.speed_ratio
@@ -127,7 +125,7 @@ class SpeedScalingNode(LifecycleBase):
         with self._lock:
             if not self._publishing or not self.context.ok():
                 return
-            if not self._settings.standby:  # whose end must not stop the robot
+            if not self.settings.standby:  # whose end must not stop the robot
                 self._scaler.stop(plain_text(reason, detail=detail))
                 self._send()
             self._publishing = False
@@ -141,7 +139,7 @@ class SpeedScalingNode(LifecycleBase):
             return
         now_ns, number = time.monotonic_ns(), decision.sequence_number
         if number <= self._last_number:  # those of one monitor increase
-            self._refused_until_ns = now_ns + round(2e9 * self._settings.timeout)
+            self._refused_until_ns = now_ns + round(2e9 * self.settings.timeout)
             self._stop("a second monitor publishes contact_states, or a new one")
         elif self._last_number and now_ns >= self._refused_until_ns:
             self._lost += number - self._last_number - 1
@@ -169,7 +167,7 @@ class SpeedScalingNode(LifecycleBase):
 
     def _publish(self) -> None:
         with self._lock:
-            if self._publishing and self._settings.standby:
+            if self._publishing and self.settings.standby:
                 self._stand_in()
             elif self._publishing:
                 self._send()
@@ -177,7 +175,7 @@ class SpeedScalingNode(LifecycleBase):
     def _stand_in(self) -> None:
         """Send 0 while no other node sends a factor."""
         silence_ns = time.monotonic_ns() - self._heard_ns
-        is_silent = silence_ns > 1e9 * self._settings.timeout
+        is_silent = silence_ns > 1e9 * self.settings.timeout
         if is_silent:
             self._publisher.publish(self._type(**{self._field: _STANDBY_FACTOR}))
         self._note(f"no factor of another node for {silence_ns / 1e9:.1f} s" if is_silent else "")
@@ -210,7 +208,7 @@ class SpeedScalingNode(LifecycleBase):
             "stops": self._stops,
             "lost contact states": self._lost,
         }
-        return [status("speed scaling", "standby" if self._settings.standby else "scaling", values, problem=problem)]
+        return [status("speed scaling", "standby" if self.settings.standby else "scaling", values, problem=problem)]
 
     def _count_controllers(self) -> int:
         """Return the number of subscribers of the factor; a node that also sends it is on standby."""
@@ -224,6 +222,4 @@ def _is_of_standby(factor: float) -> bool:
     return math.copysign(1.0, factor) < 0.0
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the node with ROS arguments `args`, or those of the process."""
-    return run("speed_scaling", SpeedScalingNode, args)
+main = partial(run, "speed_scaling", SpeedScalingNode)

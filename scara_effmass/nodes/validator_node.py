@@ -45,27 +45,24 @@ class NodeSettings(parameters.NodeParameters, ValidatorSettings):
     detection: DetectionSettings = DetectionSettings()
 
 
-class ValidatorNode(LifecycleBase):
+class ValidatorNode(LifecycleBase[NodeSettings]):
     """Match `impact` (or impacts detected in `force`) with `contact_states`; publish `impact_validation`."""
 
     def __init__(self, write_report: WriteReport | None = None) -> None:
         """Declare the parameters; `write_report` writes the report. Raises SettingsError."""
-        super().__init__("validator")
-        self._settings = parameters.declare(self, NodeSettings)
-        self.autostart = self._settings.autostart
+        super().__init__("validator", NodeSettings)
         self._write_report = write_report
-        self.on_parameters_changed(lambda: self._settings, self._apply)
-        self._validator = Validator(self._settings)
+        self._validator = Validator(self.settings)
 
     def configure(self) -> None:
         """Create the endpoints."""
-        settings = self._settings
+        settings = self.settings
         self._undecodable: Counter[str] = Counter()
         self._contact_points: set[str] = set()
         self._validator = Validator(settings)
         self._detector = Detector(settings.detection)
         self._publisher = self.create_owned_publisher(ImpactValidation, topics.IMPACT_VALIDATION, topics.STREAM_QOS)
-        self._log = Diagnostics(self, self._statuses, settings.status_period).log
+        self._log = Diagnostics(self, self._statuses).log
         inputs: list[tuple[type, str, Callable[..., None], topics.Qos]] = [
             (ContactStates, topics.CONTACT_STATES, self._on_contact_states, topics.VALIDATOR_INPUT_QOS),
             (ForceBlock, topics.FORCE, self._on_force, topics.VALIDATOR_INPUT_QOS),
@@ -107,7 +104,7 @@ class ValidatorNode(LifecycleBase):
             self._undecodable[str(error)] += 1
             return
         self._validator.add_force(block, self.now_ns())
-        if self._settings.find_impacts:
+        if self.settings.find_impacts:
             for impact in self._detector.feed(block):
                 self._publish(self._validator.add_impact(impact, self.now_ns()))
 
@@ -131,7 +128,7 @@ class ValidatorNode(LifecycleBase):
 
     def _statuses(self) -> list[DiagnosticStatus]:
         contact_points, self._contact_points = self._contact_points, set()
-        force = (topics.FORCE, "ForceBlock") if self._settings.find_impacts else (topics.IMPACT, "Impact")
+        force = (topics.FORCE, "ForceBlock") if self.settings.find_impacts else (topics.IMPACT, "Impact")
         inputs = ((topics.CONTACT_STATES, "ContactStates"), force)
         unheard = (
             several_publishers(self, topic) or no_publisher(self, topic, f"scara_effmass_msgs/msg/{kind}")
@@ -144,7 +141,7 @@ class ValidatorNode(LifecycleBase):
                 self.incompatible_qos,
                 unheard=next(filter(None, unheard), ""),
                 contact_points=contact_points,
-                robot=Path(self._settings.robot or "omron_i4_550l").stem,
+                robot=Path(self.settings.robot or "omron_i4_550l").stem,
             )
         ]
 
@@ -156,15 +153,13 @@ class ValidatorNode(LifecycleBase):
     def _on_write_report(self) -> str:
         if self._write_report is None:
             raise SettingsError("the node runs without a report writer")
-        folder = Path(self._settings.report_folder or "validation").resolve() / f"{self.now_ns() / _NS:.3f}"
-        return str(self._write_report(self._validator.result(), self._settings, folder))
+        folder = Path(self.settings.report_folder or "validation").resolve() / f"{self.now_ns() / _NS:.3f}"
+        return str(self._write_report(self._validator.result(), self.settings, folder))
 
-    def _apply(self, settings: NodeSettings, names: AbstractSet[str]) -> None:
-        self._settings = settings
-        # Unchanged parameters must not override later run information.
-        changes = {name: getattr(settings, name) for name in ("obstacle_mass", "configuration") if name in names}
-        if "plate_normal" in names:
-            changes["normal"] = settings.normal
+    def apply_settings(self, changed: AbstractSet[str]) -> None:
+        """Use the parameters `changed`: the others must not override later run information."""
+        names = {"obstacle_mass": "obstacle_mass", "configuration": "configuration", "plate_normal": "normal"}
+        changes = {field: getattr(self.settings, field) for name, field in names.items() if name in changed}
         if changes:
             self._validator.runs.set(self.now_ns(), **changes)
 

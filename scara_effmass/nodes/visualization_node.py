@@ -3,7 +3,7 @@
 
 import time
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from collections.abc import Set as AbstractSet
 from contextlib import suppress
 from functools import partial
@@ -19,14 +19,12 @@ from scara_effmass.errors import DecodeError
 from scara_effmass.model.hulls import triangles
 from scara_effmass.model.poses import pose_geometry
 from scara_effmass.model.robot import Robot
-from scara_effmass.nodes import parameters
-from scara_effmass.nodes.lifecycle import LifecycleBase, run
+from scara_effmass.nodes.lifecycle import run
 from scara_effmass.nodes.markers import contact_markers, robot_markers, stamped
-from scara_effmass.nodes.robot_input import use_robot
+from scara_effmass.nodes.robot_input import RobotNode, RobotParameters
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import unknown_assessments, unknown_contact
 from scara_effmass.safety.joint_state_adapter import JointStateAdapter
-from scara_effmass.settings import MonitorSettings
 from scara_effmass.settings.loading import fixed, tunable
 from scara_effmass.values import Decision, FloatArray, Vector3
 from scara_effmass.wire import topics
@@ -45,7 +43,7 @@ _JOINT_STATES = 8
 _CONTACT_STATES = 256
 
 
-class NodeSettings(parameters.NodeParameters, MonitorSettings):
+class NodeSettings(RobotParameters):
     """Settings of the node and of the monitor. Of the latter, only those of the robot and `timeout` have an effect."""
 
     rate: float = fixed(20.0, "number of marker arrays per second [Hz]", ge=0.5, le=100.0)
@@ -57,18 +55,15 @@ class NodeSettings(parameters.NodeParameters, MonitorSettings):
     )
 
 
-class VisualizationNode(LifecycleBase):
+class VisualizationNode(RobotNode[NodeSettings]):
     """Subscribes to `joint_states` and `contact_states`, best effort; publishes `effective_mass_markers`."""
 
     def __init__(self) -> None:
         """Declare the parameters. Raises SettingsError for an invalid one."""
-        super().__init__("visualization")
-        self._settings = parameters.declare(self, NodeSettings)
-        self.autostart = self._settings.autostart
+        super().__init__("visualization", NodeSettings)
         self._dynamics: RobotDynamics | None = None
         self._triangles: dict[str, FloatArray] = {}
         """Those of each hull, in the frame of its joint."""
-        self.on_parameters_changed(lambda: self._settings, self._apply, self._loaded)
 
     def configure(self) -> None:
         """Load the robot and create the endpoints. Raises EffmassError."""
@@ -78,9 +73,9 @@ class VisualizationNode(LifecycleBase):
         self._decoder = JointStateDecoder()
         self._status = CellStatus(time.monotonic_ns())
         self._shown: set[tuple[str, int]] = set()
-        self._refuse_robot("")
+        self.refuse_robot("")
         self._distrusted = ""
-        use_robot(self, lambda: self._settings, self._use_robot, self._refuse_robot, self._distrust_robot)
+        self.await_robot()
         self._markers = self.create_owned_publisher(MarkerArray, topics.MARKERS, topics.Qos(10))
         best_effort = topics.STREAM_QOS._replace(reliable=False)  # the monitor waits for no acknowledgement
         for kind, topic, received in (
@@ -89,27 +84,33 @@ class VisualizationNode(LifecycleBase):
         ):
             self.create_owned_subscription(kind, topic, partial(_keep, received), best_effort, raw=True)
         self.create_owned_subscription(RunInfo, topics.RUN_INFO, self._on_run_info, topics.INFO_QOS, raw=True)
-        self.create_steady_timer(1.0 / self._settings.rate, self._publish)
-        self.create_status_timer(self._settings.status_period, self._log_status)
+        self.create_steady_timer(1.0 / self.settings.rate, self._publish)
+        self.create_status_timer(self._log_status)
 
-    def _use_robot(self, robot: Robot) -> None:
-        self._adapter = JointStateAdapter(robot.joint_names, self._settings)
+    def use_robot(self, robot: Robot) -> None:
+        """Draw `robot`."""
+        self._adapter = JointStateAdapter(robot.joint_names, self.settings)
         self._dynamics, self._triangles = RobotDynamics(robot), {}
         if robot.hulls:
             self._triangles = {name: triangles(vertices) for name, vertices in robot.hulls.items()}
 
-    def _refuse_robot(self, reason: str) -> None:
+    def refuse_robot(self, reason: str) -> None:
+        """Draw no robot for `reason`."""
         self._dynamics, self._no_robot_reason = None, reason
 
-    def _distrust_robot(self, reason: str) -> None:
+    def distrust_robot(self, reason: str) -> None:
+        """Draw no robot for `reason` while it is not empty."""
         self._distrusted = reason
 
-    def _loaded(self, settings: NodeSettings) -> RobotDynamics | None:
-        """Return the robot with the load of `settings`. Raises RobotError for an impossible one."""
-        return None if self._dynamics is None else self._dynamics.with_payload(settings)
+    def check_settings(self, settings: NodeSettings) -> None:
+        """Raise RobotError for an impossible load."""
+        if self._dynamics is not None:
+            self._dynamics.with_payload(settings)
 
-    def _apply(self, settings: NodeSettings, _: AbstractSet[str]) -> None:
-        self._settings, self._dynamics = settings, self._loaded(settings)
+    def apply_settings(self, changed: AbstractSet[str]) -> None:  # noqa: ARG002 - the load may be among them
+        """Take the load of the settings."""
+        if self._dynamics is not None:
+            self._dynamics = self._dynamics.with_payload(self.settings)
 
     def _on_run_info(self, data: bytes) -> None:
         with suppress(DecodeError):  # the validator reports it
@@ -130,7 +131,7 @@ class VisualizationNode(LifecycleBase):
 
     def _current(self) -> Iterator[Marker]:
         """Yield the markers of the latest states."""
-        settings, dynamics = self._settings, self._dynamics
+        settings, dynamics = self.settings, self._dynamics
         stamp = partial(
             stamped,
             frame=dynamics.robot.base_frame if dynamics is not None else _NO_ROBOT_FRAME,
@@ -178,7 +179,7 @@ class VisualizationNode(LifecycleBase):
             with suppress(DecodeError):  # no news, as silence
                 status.take_decision(decode_contact_states(data), at_ns)
         self._contact_states.clear()
-        deadline_s = topics.verdict_qos(self._settings.timeout).deadline_s
+        deadline_s = topics.verdict_qos(self.settings.timeout).deadline_s
         status.take_publisher(round(deadline_s * NS), exists=bool(self.count_publishers(topics.CONTACT_STATES)))
         status.update(time.monotonic_ns())
         decision = status.decision
@@ -192,6 +193,4 @@ def _keep(received: Received, data: bytes) -> None:
     received.append((data, time.monotonic_ns()))
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the node with ROS arguments `args`, or those of the process."""
-    return run("visualization", VisualizationNode, args)
+main = partial(run, "visualization", VisualizationNode)

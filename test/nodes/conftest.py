@@ -28,7 +28,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
 from scara_effmass.errors import EffmassError
-from scara_effmass.nodes.lifecycle import LifecycleBase
+from scara_effmass.nodes.lifecycle import AnyNode
 from test.forked import Forked
 
 TIMEOUT_S = 120.0
@@ -322,10 +322,10 @@ def refusal_of(
     own_domain: int,  # noqa: ARG001
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
-) -> Callable[[Callable[[], LifecycleBase], str], str]:
+) -> Callable[[Callable[[], AnyNode], str], str]:
     """Return a function that brings a node up in this process with an invalid parameter and returns the error line."""
 
-    def refusal(make: Callable[[], LifecycleBase], argument: str) -> str:
+    def refusal(make: Callable[[], AnyNode], argument: str) -> str:
         monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path))
         rclpy.init(args=["--ros-args", "-p", argument], signal_handler_options=SignalHandlerOptions.NO)
         try:

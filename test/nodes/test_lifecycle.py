@@ -19,6 +19,7 @@ from std_msgs.msg import String
 
 from scara_effmass.nodes.client import spin_for
 from scara_effmass.nodes.lifecycle import LifecycleBase
+from scara_effmass.nodes.parameters import NodeParameters
 from scara_effmass.nodes.sim_node import SimNode
 from test.nodes.conftest import ros_node
 
@@ -46,7 +47,7 @@ def test_spinning_ends_under_constant_load() -> None:
 @pytest.mark.usefixtures("own_domain")
 def test_timer_whose_context_ends_meanwhile_logs_nothing(capfd: pytest.CaptureFixture[str]) -> None:
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    node = LifecycleBase("ending")
+    node = LifecycleBase("ending", NodeParameters)
     publisher = node.create_publisher(String, "text", 1)
     ended: list[bool] = []
 
@@ -70,7 +71,7 @@ def test_timer_whose_context_ends_meanwhile_logs_nothing(capfd: pytest.CaptureFi
 @pytest.mark.usefixtures("own_domain")
 def test_timer_that_the_executor_has_queued_does_not_call_after_clean_up() -> None:
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    node, calls = LifecycleBase("cleaned"), list[str]()
+    node, calls = LifecycleBase("cleaned", NodeParameters), list[str]()
     timer = node.create_steady_timer(60.0, lambda: calls.append("called"))
     queued = timer.callback
     queued()
