@@ -235,9 +235,10 @@ def _block(
     order = layout.byte_order
     sec = _columns(rows, STAMP_AT, 4, f"{order}i4")[:, 0].astype(np.int64)
     nanosec = _columns(rows, STAMP_AT + 4, 4, f"{order}u4")[:, 0].astype(np.int64)
-    position = _columns(rows, layout.position_at, 8 * layout.position_count, f"{order}f8").astype(np.float64)
-    velocity = _columns(rows, layout.velocity_at, 8 * layout.velocity_count, f"{order}f8").astype(np.float64)
-    effort = _columns(rows, layout.effort_at, 8 * layout.effort_count, f"{order}f8").astype(np.float64)
+    position, velocity, effort = (
+        _columns(rows, numbers.at, 8 * numbers.length, f"{order}f8").astype(np.float64)
+        for numbers in (layout.position, layout.velocity, layout.effort)
+    )
     block = JointStateBlock(log_time_ns.copy(), sec * NS + nanosec, names, position, velocity, effort)
     for array in (block.log_time_ns, block.stamp_ns, position, velocity, effort):
         array.flags.writeable = False

@@ -2,7 +2,7 @@
 """Convert sensor_msgs/JointState messages to and from `JointState`."""
 
 import struct
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,27 +13,27 @@ MAX_NAMES = 1000
 """Maximum number of names in a JointState; decoding many more would delay the next messages."""
 
 
-@dataclass(frozen=True, slots=True)
-class JointStateLayout:
-    """Byte offsets of the fields of a JointState, which do not change while a publisher sends the same names.
+class Numbers(NamedTuple):
+    """Sequence of float64 in a message: the offsets of its length and of its first number, and its length."""
 
-    Offsets (`..._at`) and `size` are in bytes from the start of the message; counts are numbers of float64. `fixed` are
-    the byte ranges (start, stop) of lengths and names. Messages of equal size with equal bytes there have the same
-    layout.
+    length_at: int
+    at: int
+    length: int
+
+
+class JointStateLayout(NamedTuple):
+    """Where the fields of a JointState are, which does not change while a publisher sends the same names.
+
+    Offsets and `size` are in bytes from the start of the message. `fixed` are the byte ranges (start, stop) of lengths
+    and names. Messages of equal size with equal bytes there have the same layout.
     """
 
     byte_order: str
     size: int
     names: tuple[str, ...]
-    position_count_at: int
-    position_at: int
-    position_count: int
-    velocity_count_at: int
-    velocity_at: int
-    velocity_count: int
-    effort_count_at: int
-    effort_at: int
-    effort_count: int
+    position: Numbers
+    velocity: Numbers
+    effort: Numbers
     fixed: tuple[tuple[int, int], ...]
 
 
@@ -47,28 +47,12 @@ def joint_state_layout(data: bytes) -> JointStateLayout:
     if name_count > MAX_NAMES:
         raise cursor.error(f"name has length {name_count}: must be <= {MAX_NAMES}")
     names = tuple(cursor.text(f"name[{index}]") for index in range(name_count))
-    position_count_at = cursor.aligned(4)
-    position_at, position_count = cursor.skip_numbers("position")
-    velocity_count_at = cursor.at
-    velocity_at, velocity_count = cursor.skip_numbers("velocity")
-    effort_count_at = cursor.at
-    effort_at, effort_count = cursor.skip_numbers("effort")
-    cursor.end("effort")
-    return JointStateLayout(
-        byte_order=cursor.byte_order,
-        size=len(data),
-        names=names,
-        position_count_at=position_count_at,
-        position_at=position_at,
-        position_count=position_count,
-        velocity_count_at=velocity_count_at,
-        velocity_at=velocity_at,
-        velocity_count=velocity_count,
-        effort_count_at=effort_count_at,
-        effort_at=effort_at,
-        effort_count=effort_count,
-        fixed=((0, 2), *cursor.fixed),
+    position, velocity, effort = (
+        Numbers(cursor.aligned(4), *cursor.skip_numbers(name)) for name in ("position", "velocity", "effort")
     )
+    cursor.end("effort")
+    fixed = ((0, 2), *cursor.fixed)
+    return JointStateLayout(cursor.byte_order, len(data), names, position, velocity, effort, fixed)
 
 
 def joint_state_message(state: JointState, frame_id: str = "") -> bytes:
@@ -107,8 +91,8 @@ class JointStateDecoder:
         return JointState(
             sec * NS + nanosec,
             self._names,
-            values[: self._position_count],
-            values[self._velocity_first : self._velocity_last],
+            values[self._positions],
+            values[self._velocities],
             self._numbers(data[self._efforts]) if effort_count else NO_VALUES,
         )
 
@@ -122,9 +106,10 @@ class JointStateDecoder:
     def _learn_layout(self, data: bytes) -> None:
         self._size = -1
         layout = joint_state_layout(data)
-        prefix = layout.position_count_at + 4 - FRAME_AT
-        before_velocity = layout.velocity_count_at - layout.position_count_at - 4
-        before_effort = layout.effort_count_at - layout.velocity_count_at - 4
+        position, velocity, effort = layout.position, layout.velocity, layout.effort
+        prefix = position.length_at + 4 - FRAME_AT
+        before_velocity = velocity.length_at - position.length_at - 4
+        before_effort = effort.length_at - velocity.length_at - 4
         message = struct.Struct(f"{layout.byte_order}2s2xiI{prefix}s{before_velocity}xI{before_effort}xI")
         self._unpack = message.unpack_from
         self._order, _, _, self._prefix, self._velocity_count, self._effort_count = message.unpack_from(data)
@@ -132,14 +117,9 @@ class JointStateDecoder:
             self._names = layout.names
         self._dtype = np.dtype(f"{layout.byte_order}f8")
         self._native = self._dtype.isnative
-        self._first = layout.position_at if layout.position_count else layout.velocity_at
-        self._last = (
-            layout.velocity_at + 8 * layout.velocity_count
-            if layout.velocity_count
-            else self._first + 8 * layout.position_count
-        )
-        self._position_count = layout.position_count
-        self._velocity_first = (layout.velocity_at - self._first) // 8 if layout.velocity_count else 0
-        self._velocity_last = self._velocity_first + layout.velocity_count
-        self._efforts = slice(layout.effort_at, layout.effort_at + 8 * layout.effort_count)
+        self._first = position.at if position.length else velocity.at
+        first = (velocity.at - self._first) // 8 if velocity.length else 0
+        self._positions, self._velocities = slice(position.length), slice(first, first + velocity.length)
+        self._last = self._first + 8 * (first + velocity.length if velocity.length else position.length)
+        self._efforts = slice(effort.at, effort.at + 8 * effort.length)
         self._size = layout.size
