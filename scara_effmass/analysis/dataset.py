@@ -85,11 +85,11 @@ class BagResult:
 
 
 def assess_bag(
-    path: Path, task: BagTask, dynamics: RobotDynamics, table: AssessmentWriter, advance: Callable[[int, int], object]
+    path: Path, task: BagTask, dynamics: RobotDynamics, table: AssessmentWriter, advance: Callable[[float], object]
 ) -> BagResult:
     """Assess the joint states of the bag at `path` with a fresh monitor and write them to `table`.
 
-    `dynamics` is the robot of the settings. `advance` is called with a number of further joint states and their total.
+    `dynamics` is the robot of the settings. `advance` is called with the share of each further part.
     Raises BagError, SettingsError and CrossCheckError.
     """
     settings, count = task.settings, 0
@@ -113,7 +113,7 @@ def assess_bag(
         with ThreadPoolExecutor(1) as writer:
             written = writer.submit(lambda: None)
             for states in batches:
-                advance(len(states), total)
+                advance(len(states) / total)
                 count += len(states)
                 written.result()  # at most one batch waits
                 written = writer.submit(table.add, name, states)
@@ -164,7 +164,7 @@ def assess_part(
     cell: str,
     task: BagTask,
     dynamics: RobotDynamics,
-    advance: Callable[[int, int], object],
+    advance: Callable[[float], object],
     *,
     overwrite: bool,
 ) -> BagResult:
@@ -194,7 +194,7 @@ def assess_part(
         elif earlier.is_file():
             is_as_written = _hash_of(earlier) == record.part_hash
             if is_as_written and not task.cross_check:
-                advance(1, 1)
+                advance(1.0)
                 return record.result
             if not is_as_written:
                 notes.append(("assessed again", f"{earlier}: was damaged or changed since it was written"))

@@ -233,15 +233,15 @@ class CellStatus:
         elif contact.margin < last.allowable_speed - last.speed:
             self.speeds[-1] = sample
 
-    def take_load(self, sample: LoadSample) -> None:
-        """Take an estimate of the load."""
-        self.loads.append(sample)
-
     def take_joint_state(self, state: JointState, at_ns: int) -> None:
         """Take the latest joint state."""
         self.joint_state, self.joint_state_at_ns = state, at_ns
 
-    def take_force(self, block: ForceBlock) -> None:
+    def take_run_info(self, info: RunInfo, _at_ns: int = 0) -> None:
+        """Take the information on the run."""
+        self.run_info = info
+
+    def take_force(self, block: ForceBlock, _at_ns: int = 0) -> None:
         """Take a block of force; the last seconds are kept."""
         self._force.append(block)
         while block.stamp_ns - self._force[0].stamp_ns > FORCE_BUFFER_NS or block.stamp_ns < self._force[0].stamp_ns:

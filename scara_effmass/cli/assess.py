@@ -74,7 +74,9 @@ def assess(
     summary = Summary(round(settings.timeout * 1e9))
     counts = dict.fromkeys(("joint_states", "foreign", "refused"), 0)
     losses, unreadable, unmodelled = list[str](), list[str](), list[str]()
-    input_notes = _input_notes(settings, task.time, args.velocity_bag, len(paths))
+    if args.velocity_bag and len(paths) > 1:
+        raise SettingsError(f"--velocity-bag = {args.velocity_bag}: must belong to one recording, not to {len(paths)}")
+    input_notes = list(input_lines(settings, task.time, args.velocity_bag))
     if not args.output.suffix and (args.report or args.properties):
         raise SettingsError(f"--report, --properties: must be left out for a dataset, {args.output}")
     report = _open_report(args, settings, len(paths) * len(dynamics.contact_points)) if args.report else None
@@ -102,7 +104,13 @@ def assess(
         notes, results = supplement(counts)
         lines = [*notes, *_lines(counts, input_notes, summary, robot, settings, losses, unreadable, unmodelled)]
         printed = {"output": str(args.output), **results, **counts, **summary.as_dict()}
-        printed |= _described(robot, settings)
+        printed |= {
+            "robot": {"name": robot.name, "file": robot.origin, "is_default": not settings.robot},
+            "robot_notes": list(robot.notes),
+            "ignored_joints": list(settings.ignored_joints),
+            "scope": scope(robot, settings),
+            "assumptions": assumptions_of(robot, settings).as_dict(),
+        }
         printed |= {"unmodelled_joints": unmodelled, "losses": losses, "unreadable": unreadable, "input": input_notes}
         if report:
             others = f" + {len(paths) - 1}" if len(paths) > 1 else ""
@@ -126,11 +134,7 @@ def _assess_part(
 ) -> BagResult:
     """Assess the recording at `path` into the dataset `folder`."""
     dynamics, cell = load_dynamics(task.settings), cell or cell_of(path)
-    return assess_part(folder, path, cell, task, dynamics, _by_share(advance), overwrite=overwrite)
-
-
-def _by_share(advance: Advance) -> Callable[[int, int], object]:
-    return lambda count, total: advance(count / total)
+    return assess_part(folder, path, cell, task, dynamics, advance, overwrite=overwrite)
 
 
 class _Part(NamedTuple):
@@ -147,7 +151,7 @@ def _assess_file(task: BagTask, origin: Mapping[str, str], part: _Part, advance:
     """Assess a recording into a file of its own."""
     dynamics = load_dynamics(task.settings)
     with open_writer(part.file, origin, dynamics.robot.base_frame, overwrite=False) as table:
-        return assess_bag(part.path, task, dynamics, table, _by_share(advance))
+        return assess_bag(part.path, task, dynamics, table, advance)
 
 
 @contextmanager
@@ -165,7 +169,7 @@ def _into_file(
     with ExitStack() as stack:
         table = stack.enter_context(open_writer(args.output, origin, dynamics.robot.base_frame, overwrite=args.force))
         if len(paths) == 1 and args.scheduler is None:
-            yield run_tasks(lambda path, advance: assess_bag(path, task, dynamics, table, _by_share(advance)), paths)
+            yield run_tasks(lambda path, advance: assess_bag(path, task, dynamics, table, advance), paths)
             return
         beside = None if isinstance(args.output, Url) else args.output.absolute().parent
         folder = stack.enter_context(TemporaryDirectory(prefix=".", dir=beside))
@@ -183,15 +187,6 @@ def _into_file(
         yield extended()
 
 
-def _input_notes(
-    settings: MonitorSettings, time: Time, velocity_bag: Path | None, recordings: int
-) -> list[tuple[str, str]]:
-    """Return how the assessed joint states differ from the recorded ones. Raises SettingsError."""
-    if velocity_bag and recordings > 1:
-        raise SettingsError(f"--velocity-bag = {velocity_bag}: must belong to one recording, not to {recordings}")
-    return list(input_lines(settings, time, velocity_bag))
-
-
 def _open_report(args: argparse.Namespace, settings: MonitorSettings, figures: int) -> RunReport:
     """Return the report with this number of figures. Raises OutputError for existing files."""
     from scara_effmass.analysis.report import PageOptions  # noqa: PLC0415 - loads jinja2
@@ -199,17 +194,6 @@ def _open_report(args: argparse.Namespace, settings: MonitorSettings, figures: i
 
     page = PageOptions(args.language, args.pdf)
     return RunReport(args.report, figures, settings, page, overwrite=args.force)
-
-
-def _described(robot: Robot, settings: MonitorSettings) -> dict[str, Any]:
-    """Return robot, scope and assumptions of an assessment, for JSON."""
-    return {
-        "robot": {"name": robot.name, "file": robot.origin, "is_default": not settings.robot},
-        "robot_notes": list(robot.notes),
-        "ignored_joints": list(settings.ignored_joints),
-        "scope": scope(robot, settings),
-        "assumptions": assumptions_of(robot, settings).as_dict(),
-    }
 
 
 def _share_beyond_limits(summary: Summary, settings: MonitorSettings) -> float:

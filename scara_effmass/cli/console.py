@@ -34,11 +34,11 @@ WIDE = 100
 """Columns from which a table has room for sentences."""
 _MAX_WORD = 16
 LEVEL_STYLES = {"ok": "green", "note": "yellow", "wrong": "bold white on red"}
-_STYLES = {
-    Verdict.OK: "bold green",
-    Verdict.WARN: "bold yellow",
+VERDICT_STYLES = {
+    Verdict.OK: "bold black on green",
+    Verdict.WARN: "bold black on yellow",
     Verdict.VIOLATION: "bold white on red",
-    Verdict.UNKNOWN: "bold black on white",
+    Verdict.UNKNOWN: "bold white on magenta",
 }
 
 
@@ -152,5 +152,5 @@ def live_status(console: Console, *, visible: bool) -> Iterator[ShowStatus]:
 def _status_line(contact: ContactAssessment, time_s: float, speed_scaling: float) -> Text:
     text = Text(f"{time_s:6.1f} s  {contact.contact_point}: ", no_wrap=True)
     text.append(f"{contact.speed_text}, {contact.effective_mass:6.3g} kg  ")
-    text.append(f"{contact.verdict.name:<9}", _STYLES[contact.verdict])
+    text.append(f"{contact.verdict.name:<9}", VERDICT_STYLES[contact.verdict])
     return text.append(f"  scaling {at_most(speed_scaling, 2)}")

@@ -21,7 +21,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from scara_effmass.cli.console import print_lines, printer
+from scara_effmass.cli.console import VERDICT_STYLES, print_lines, printer
 from scara_effmass.cli.options import load_dynamics, monitor_settings
 from scara_effmass.errors import SettingsError
 from scara_effmass.impacts.agreement import comparison_text
@@ -45,12 +45,6 @@ _FONT = (
     ".##. #..# .#.#. #..# #..# #..# ..#.. # ### .#. .##. ### ### ### ### ..# ### ### ..# ### ### # ...",
 )
 """Five rows of pixels of `_CHARACTERS`."""
-_STYLES = {
-    Verdict.OK: "bold black on green",
-    Verdict.WARN: "bold black on yellow",
-    Verdict.VIOLATION: "bold white on red",
-    Verdict.UNKNOWN: "bold white on magenta",
-}
 
 
 def run(args: argparse.Namespace) -> int:
@@ -122,7 +116,7 @@ def _watch(args: argparse.Namespace) -> int:
 
 def screen(status: CellStatus, now_ns: int, name: str, width: int, height: int) -> RenderableType:
     """Return the screen of `status` for a terminal of `width` columns and `height` rows."""
-    verdict, style = status.verdict, _STYLES[status.verdict]
+    verdict, style = status.verdict, VERDICT_STYLES[status.verdict]
     is_unknown = verdict is Verdict.UNKNOWN
     rows = max((height - 10) // 2, 5)
     seconds = (now_ns - status.verdict_since_ns) / 1e9
@@ -190,7 +184,9 @@ def _points(status: CellStatus) -> Table:
         numbers = (at_least(contact.speed, 3), at_most(contact.allowable_speed, 3), f"{contact.effective_mass:.3g}")
         if verdict is Verdict.UNKNOWN:
             numbers = ("-", "-", "-")
-        table.add_row(Text(contact.contact_point), Text(verdict.name, _STYLES[verdict]), *numbers, contact.body_region)
+        table.add_row(
+            Text(contact.contact_point), Text(verdict.name, VERDICT_STYLES[verdict]), *numbers, contact.body_region
+        )
     return table
 
 

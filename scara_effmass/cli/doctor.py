@@ -30,7 +30,7 @@ from scara_effmass.extras import missing_extra
 from scara_effmass.input_files import check_regular_file
 from scara_effmass.iso15066 import EDITION, TABLE_HASH, limits_for
 from scara_effmass.safety.assumptions import assumptions_of, deciding_mass, mass_source, scope
-from scara_effmass.settings import DaqSettings, ForceSourceKind, MassModel, MonitorSettings, load_settings
+from scara_effmass.settings import DaqSettings, MassModel, MonitorSettings, load_settings
 from scara_effmass.values import Verdict
 
 if TYPE_CHECKING:
@@ -39,8 +39,6 @@ if TYPE_CHECKING:
 
 COMPARED_POSES = 300
 """Number of random poses and directions at which the lumped is compared with the full mass."""
-
-
 PICTURES = (".png", ".svg")
 
 
@@ -51,6 +49,11 @@ class CheckResult(NamedTuple):
     subject: str
     text: str
 
+    @classmethod
+    def of(cls, subject: str, text: str, problem: str = "", level: str = "note") -> CheckResult:
+        """Return "ok" with `text`, or `level` with the `problem`."""
+        return cls(level if problem else "ok", subject, problem or text)
+
 
 def run(args: argparse.Namespace) -> int:
     """Check the installation, the environment, the DAQ device and the robot; return 1 if the monitor cannot run."""
@@ -59,7 +62,9 @@ def run(args: argparse.Namespace) -> int:
         raise RobotError(f"{settings.robot_path}: no such file; must be a URDF or DH YAML file")
     check_regular_file(settings.robot_path, RobotError)
     if args.hulls:
-        _check_picture(args.hulls, overwrite=args.force)
+        if args.hulls.suffix not in PICTURES:
+            raise SettingsError(f"--hulls = {args.hulls}: must end with {' or '.join(PICTURES)}")
+        check_output_path(args.hulls, overwrite=args.force)
     cell, dynamics = cell_results(settings)
     if args.hulls and dynamics:
         cell.append(_draw_hulls(dynamics, args.hulls, overwrite=args.force))
@@ -79,13 +84,6 @@ def run(args: argparse.Namespace) -> int:
         verdict = "healthy: the monitor can run with this robot" if healthy else problem
         printer().print(verdict, style=LEVEL_STYLES["ok" if healthy else "wrong"])
     return 0 if healthy else 1
-
-
-def _check_picture(path: Path, *, overwrite: bool) -> None:
-    """Raise SettingsError or OutputError if no picture can be written to `path`."""
-    if path.suffix not in PICTURES:
-        raise SettingsError(f"--hulls = {path}: must end with {' or '.join(PICTURES)}")
-    check_output_path(path, overwrite=overwrite)
 
 
 def _draw_hulls(dynamics: RobotDynamics, path: Path, *, overwrite: bool) -> CheckResult:
@@ -117,9 +115,7 @@ def cell_results(settings: MonitorSettings) -> tuple[list[CheckResult], RobotDyn
 
 
 def _installation() -> Iterator[CheckResult]:
-    yield CheckResult(
-        "ok", "scara_effmass", f"{__version__}, Python {platform.python_version()}, {platform.platform()}"
-    )
+    yield CheckResult.of("scara_effmass", f"{__version__}, Python {platform.python_version()}, {platform.platform()}")
     checks: dict[str, Callable[[], str]] = {
         "rclpy": lambda: _version("rclpy", "ros-jazzy-rclpy"),
         "middleware": lambda: str(import_module("rclpy").get_rmw_implementation_identifier()),
@@ -132,13 +128,8 @@ def _installation() -> Iterator[CheckResult]:
         except Exception as error:  # noqa: BLE001, PERF203 - a broken installation may raise anything
             reason = " ".join(str(error).split()) or type(error).__name__
             yield CheckResult("wrong", subject, f"{reason}; install scara_effmass again, or source ROS 2")
-
-    why_not = import_module("scara_effmass.kernel.jit").WHY_NOT
-    yield CheckResult(
-        "note" if why_not else "ok",
-        "kernel",
-        why_not or "compiled by numba, for the live monitor and for many joint states at once",
-    )
+    compiled = "compiled by numba, for the live monitor and for many joint states at once"
+    yield CheckResult.of("kernel", compiled, import_module("scara_effmass.kernel.jit").WHY_NOT)
 
 
 def _version(module: str, wheel: str) -> str:
@@ -162,11 +153,8 @@ def _environment() -> Iterator[CheckResult]:
     yield CheckResult("ok", "ROS_DOMAIN_ID", os.environ.get("ROS_DOMAIN_ID") or "0 (the default)")
     name = "ROS_AUTOMATIC_DISCOVERY_RANGE"
     discovery_range = os.environ.get(name) or "SUBNET (the default)"
-    if discovery_range.startswith("SUBNET"):
-        hint = "nodes communicate with the whole network; LOCALHOST keeps to this machine"
-        yield CheckResult("note", name, f"{discovery_range}; {hint}")
-    else:
-        yield CheckResult("ok", name, discovery_range)
+    hint = f"{discovery_range}; nodes communicate with the whole network; LOCALHOST keeps to this machine"
+    yield CheckResult.of(name, discovery_range, hint * discovery_range.startswith("SUBNET"))
     yield _log_folder()
 
 
@@ -187,12 +175,11 @@ def _log_folder() -> CheckResult:
 
 def _daq(params: Path | None) -> Iterator[CheckResult]:
     """Check driver, devices and channels of `daq_node`; the monitor runs without them, so none is "wrong"."""
-    settings = DaqSettings()
-    if params is not None:
-        try:
-            settings = load_settings(DaqSettings, params, "daq")
-        except SettingsError as error:
-            yield CheckResult("note", "daq_node", f"{error}; the defaults are checked instead")
+    try:
+        settings = load_settings(DaqSettings, params, "daq")
+    except SettingsError as error:
+        settings = DaqSettings()
+        yield CheckResult("note", "daq_node", f"{error}; the defaults are checked instead")
     try:
         driver = import_module("scara_effmass.daq.ni_driver")
         yield CheckResult("ok", "NI-DAQmx", driver.driver_version())
@@ -206,12 +193,11 @@ def _daq(params: Path | None) -> Iterator[CheckResult]:
         channels = f"; for an IEPE force sensor: {', '.join(device.channels)}" if device.channels else ""
         text = device.problem or f"{device.product}{simulated}{channels}"
         yield CheckResult("note" if device.problem or device.simulated else "ok", device.name, text)
-    if settings.source is ForceSourceKind.NI9230:
+    if settings.source == "ni9230":
         chosen, present = settings.ni9230.channels, [channel for device in devices for channel in device.channels]
         missing = {channel for channel in chosen if channel.lower() not in map(str.lower, present)}
         absence = f"{', '.join(sorted(missing))} not found; present: {', '.join(present) or 'none'}"
-        text = absence if missing else f"{', '.join(chosen)}: present"
-        yield CheckResult("note" if missing else "ok", "ni9230.channels", text)
+        yield CheckResult.of("ni9230.channels", f"{', '.join(chosen)}: present", absence * bool(missing))
 
 
 def _limits(settings: MonitorSettings) -> Iterator[CheckResult]:
@@ -233,7 +219,7 @@ def _robot(dynamics: RobotDynamics) -> Iterator[CheckResult]:
     aggregated = "" if dynamics.lumped is None else ", ".join(f"{mass:.4g}" for mass in dynamics.lumped.aggregated)
     yield CheckResult("ok", "robot", f"{robot.name} ({robot.origin}), base frame {robot.base_frame}")
     yield CheckResult("ok", "contact points", ", ".join(dynamics.contact_points))
-    yield CheckResult("wrong" if robot.units_reason else "ok", "units", robot.units_reason or "plausible")
+    yield CheckResult.of("units", "plausible", robot.units_reason, "wrong")
     yield CheckResult("ok", "reach", f"{robot.reach:.3g} m from {robot.joint_names[0]} over the joint ranges")
     for subject, problem, text in (
         ("masses", robot.masses_reason, "present"),
@@ -242,14 +228,12 @@ def _robot(dynamics: RobotDynamics) -> Iterator[CheckResult]:
         ("lumped model", dynamics.lumped_reason, f"masses {aggregated} kg, from base to tip"),
         ("full model", dynamics.full_reason, "the mass matrix is positive definite over the joint ranges"),
     ):
-        yield CheckResult("note" if problem else "ok", subject, problem or text)
+        yield CheckResult.of(subject, text, problem)
     if not robot.masses_reason:
         yield CheckResult("ok", "moving mass", f"{robot.moving_mass:.4g} kg without the payload")
         yield CheckResult("ok", "ISO mass", f"M/2 + m_L = {robot.iso_mass:.4g} kg")
-    if robot.payload_mass:
-        yield CheckResult("ok", "payload", robot.payload_text)
-    else:
-        yield CheckResult("note", "payload", "0 kg: the last link must include the tool and its load")
+    no_payload = "0 kg: the last link must include the tool and its load"
+    yield CheckResult.of("payload", robot.payload_text, no_payload * (not robot.payload_mass))
     if held := [joint.name for joint in robot.held if not joint.is_harmless]:
         text = f"UNKNOWN while one of these moves, which the model holds fixed: {', '.join(held)}"
         yield CheckResult("note", "motion", f"{text}: ignored_joints states the harmless ones")
@@ -257,7 +241,7 @@ def _robot(dynamics: RobotDynamics) -> Iterator[CheckResult]:
         yield CheckResult("ok", f"home pose, {name}", text)
     warning = robot.rotors.warning
     armatures = ", ".join(f"{value:.4g}" for value in robot.model.armature.tolist())
-    yield CheckResult("note" if warning else "ok", "armature", warning or f"{armatures} kg m² or kg")
+    yield CheckResult.of("armature", f"{armatures} kg m² or kg", warning)
     for note in (note for note in robot.notes if note != warning):
         yield CheckResult("note", "robot file", note)
 

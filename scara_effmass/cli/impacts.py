@@ -18,7 +18,7 @@ HEADINGS = ("time [s]", "peak [N]", "impulse [N s]", "duration [ms]", "held [N]"
 def run(args: argparse.Namespace) -> int:
     """Print the contacts in each recording, and what was left out."""
     settings = override(ImportSettings(topic=args.force_topic or ""), selected(args, "import"))
-    detection = load_settings(DaqSettings, args.params, "daq", OTHERS).detection if args.params else DetectionSettings()
+    detection = load_settings(DaqSettings, args.params, "daq", OTHERS).detection
     if args.threshold is not None:
         detection = checked(DetectionSettings, {**detection.model_dump(), "threshold": args.threshold}, "options")
     with progress_bar() as progress:

@@ -24,7 +24,7 @@ from scara_effmass.settings import (
     checked,
     load_settings,
 )
-from scara_effmass.settings.loading import Settings, flat_fields, number_rule
+from scara_effmass.settings.loading import Settings, choices, flat_fields, number_rule
 from scara_effmass.url import Url, location
 from scara_effmass.wire.cdr import MAX_SEC
 
@@ -67,11 +67,8 @@ def _setting_keywords(name: str, keywords: Mapping[str, Any]) -> dict[str, Any]:
     text, _, empty = str(field.description).partition("; empty: ")
     text += "; several by commas" * (keywords.get("type") == "words")
     text += "; may be repeated" * (keywords.get("action") in {"append", "extend"})
-    found: dict[str, Any] = {}
-    default = field.default
-    if isinstance(default, Enum):
-        found["choices"] = [choice.value for choice in type(default)]
-        default = default.value
+    found = {"choices": names} if (names := choices(field)) else {}
+    default = field.default.value if isinstance(field.default, Enum) else field.default
     if isinstance(default, (int, float)) and not isinstance(default, bool):
         empty = f"{default:g}"
     elif isinstance(default, str):
@@ -110,11 +107,6 @@ def _path(text: str) -> Path:
     return Path(text)
 
 
-def _location(text: str) -> Path:
-    _path(text)
-    return location(text)
-
-
 def _name(text: str) -> str:
     """Return a name that can be a folder."""
     if not re.fullmatch(r"[\w.-]+", text):
@@ -129,7 +121,7 @@ TYPES: Mapping[str, Callable[[str], object]] = {
     "int": int,
     "float": float,
     "path": _path,
-    "location": _location,
+    "location": lambda text: location(str(_path(text))),
     "name": _name,
     "words": lambda text: text.split(","),
     "plane": _plane,
@@ -196,9 +188,8 @@ def monitor_settings(
 
     A parameter file with sections of the nodes `others` only leaves the defaults. Raises SettingsError.
     """
-    settings = load_settings(MonitorSettings, args.params, "monitor", others) if args.params else MonitorSettings()
     chosen = {name: getattr(args, name, None) for name in MonitorSettings.model_fields}
-    settings = override(settings, chosen | overrides)
+    settings = override(load_settings(MonitorSettings, args.params, "monitor", others), chosen | overrides)
     protect_inputs(Path(settings.robot_path))
     return settings
 

@@ -25,7 +25,6 @@ from scara_effmass.cli.tasks import SMALL_BYTES, Advance, open_run, sound
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.impacts.validator import Validator
 from scara_effmass.settings import DaqSettings, ImportSettings, MonitorSettings, ValidatorSettings, load_settings
-from scara_effmass.settings.loading import Settings
 
 NOT_ACCEPTED = 1
 SECTIONS = ("monitor", "validator", "daq")
@@ -82,19 +81,18 @@ def _recordings(args: argparse.Namespace) -> list[Path]:
 
 def validation_settings(args: argparse.Namespace) -> ValidationSettings:
     """Return the settings of --params, overridden by the other options. Raises SettingsError."""
-
-    def section(kind: type[Settings], name: str) -> Settings:
-        return load_settings(kind, args.params, name, SECTIONS) if args.params else kind()
-
     # The limits are those of the measured forces: a clamping monitor could give no prediction.
     if args.force_offset is not None and not args.force_from:
         raise SettingsError(f"argument --force-offset: {args.force_offset:g}: must come with --force-from")
     names = ("stiffness_n_m", "obstacle_mass", "obstacle_fixed", "plate_normal", "effective_mass_model")
     options = selected(args, "limits") | {name: getattr(args, name) for name in names}
     return ValidationSettings(
-        monitor=override(section(MonitorSettings, "monitor"), selected(args, "robot", "model", "joints", "payload")),
-        validator=override(section(ValidatorSettings, "validator"), options),
-        detection=section(DaqSettings, "daq").detection,
+        monitor=override(
+            load_settings(MonitorSettings, args.params, "monitor", SECTIONS),
+            selected(args, "robot", "model", "joints", "payload"),
+        ),
+        validator=override(load_settings(ValidatorSettings, args.params, "validator", SECTIONS), options),
+        detection=load_settings(DaqSettings, args.params, "daq", SECTIONS).detection,
         obstacle_mass=args.obstacle_mass,
         topic=args.topic,
         time=Time(args.time),

@@ -9,10 +9,10 @@ from scara_effmass.errors import DriverMissingError
 from scara_effmass.extras import missing_extra
 from scara_effmass.settings import DaqSettings, ForceSourceKind
 
-SOURCES = {
-    ForceSourceKind.NI9230: "scara_effmass.daq.ni9230:Ni9230Source",
-    ForceSourceKind.BAG: "scara_effmass.daq.bag_source:BagSource",
-    ForceSourceKind.SIM: "scara_effmass.daq.sim_source:make_sim_source",
+SOURCES: dict[ForceSourceKind, str] = {
+    "ni9230": "scara_effmass.daq.ni9230:Ni9230Source",
+    "bag": "scara_effmass.daq.bag_source:BagSource",
+    "sim": "scara_effmass.daq.sim_source:make_sim_source",
 }
 """Constructor of each source; its module, and with it a driver, is imported only when the source is selected."""
 

@@ -16,7 +16,7 @@ from scara_effmass.bags.files import open_bag
 from scara_effmass.daq.source import ForceSource, Reading
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.importers.force import IMPORTERS, MAX_VALUE, import_wrenches
-from scara_effmass.settings import DaqSettings, ImportSettings, Stamps
+from scara_effmass.settings import DaqSettings, ImportSettings
 from scara_effmass.values import ForceBlock
 from scara_effmass.wire.cdr import NS
 from scara_effmass.wire.message_types import FORCE_BLOCK, WRENCH, WRENCH_STAMPED
@@ -204,7 +204,7 @@ class BagSource(ForceSource):
         block = next(self._blocks, None)
         if block is None:
             raise BagError("; ".join([f"{origin}: has no force that can be read", *bag.losses]))
-        self._is_shifted = self._settings.stamps is Stamps.NOW or block.stamp_ns < RELATIVE_NS
+        self._is_shifted = self._settings.stamps == "now" or block.stamp_ns < RELATIVE_NS
         self._first_ns = block.stamp_ns
         self._ended = False
         self.channels = (topic.rpartition("/")[2],)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from scara_effmass.daq.clock_fit import ClockFit
 from scara_effmass.daq.source import ForceSource, Reading
-from scara_effmass.settings import DaqSettings, FilterKind, TareSettings
+from scara_effmass.settings import DaqSettings, TareSettings
 from scara_effmass.values import (
     NONE_SATURATED,
     RANGE_TOLERANCE,
@@ -270,7 +270,7 @@ class Tare:
 
 
 def _lowpass(settings: DaqSettings, sample_rate: float) -> Lowpass | None:
-    if settings.filter.kind is FilterKind.NONE:
+    if settings.filter.kind == "none":
         return None
     from scara_effmass.daq.lowpass import make_lowpass  # noqa: PLC0415 - scipy takes a second and 80 MB to load
 

@@ -7,7 +7,7 @@ import numpy as np
 from scipy import optimize, signal
 
 from scara_effmass.errors import SettingsError
-from scara_effmass.settings import FilterKind, FilterSettings
+from scara_effmass.settings import FilterSettings
 from scara_effmass.values import FloatArray
 
 NEGLIGIBLE = 1e-3
@@ -60,7 +60,7 @@ def make_lowpass(settings: FilterSettings, sample_rate: float) -> Lowpass:
         raise SettingsError(
             f"filter.cutoff = {settings.cutoff:g}: must be below {sample_rate / 2.0:g} Hz, half of the sample rate"
         )
-    design = _butterworth if settings.kind is FilterKind.CAUSAL else _gaussian
+    design = _butterworth if settings.kind == "causal" else _gaussian
     return design(settings.cutoff, sample_rate)
 
 

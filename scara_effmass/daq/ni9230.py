@@ -39,7 +39,7 @@ class Ni9230Source(ForceSource):
         self.simulated = False
         self.limit = math.inf
         self.filter_delay = settings.ni9230.filter_delay_samples / self.sample_rate
-        self.description = f"{', '.join(settings.ni9230.channels)}, IEPE, {settings.ni9230.coupling.value} coupling"
+        self.description = f"{', '.join(settings.ni9230.channels)}, IEPE, {settings.ni9230.coupling} coupling"
 
         self._subject = f"ni9230.channels = {', '.join(settings.ni9230.channels)}"
         self._was_connected = False
@@ -113,7 +113,7 @@ class Ni9230Source(ForceSource):
                 current_excit_source=constants.ExcitationSource["INTERNAL" if converter.current else "NONE"],
                 current_excit_val=converter.current,
             )
-            channel.ai_coupling = constants.Coupling[converter.coupling.value]
+            channel.ai_coupling = constants.Coupling[converter.coupling]
             inputs.append(channel)
         mode = constants.AcquisitionType.FINITE if converter.samples else constants.AcquisitionType.CONTINUOUS
         task.timing.cfg_samp_clk_timing(
@@ -129,7 +129,7 @@ class Ni9230Source(ForceSource):
         products = ", ".join(sorted({module.product_type for module in modules}))
         self.description = (
             f"{products} {', '.join(converter.channels)}, {'simulated by its driver, ' * self.simulated}"
-            f"IEPE {converter.current * 1e3:g} mA, {converter.coupling.value} coupling, {sensor.sensitivity:g} mV/N"
+            f"IEPE {converter.current * 1e3:g} mA, {converter.coupling} coupling, {sensor.sensitivity:g} mV/N"
         )
         self._block = max(1, round(self._settings.block_time * self.sample_rate))
         self._buffer = np.empty(len(inputs) * self._block)

@@ -10,7 +10,7 @@ from typing import final
 import numpy as np
 
 from scara_effmass.daq.source import ForceSource, Reading
-from scara_effmass.settings import DaqSettings, SimScene
+from scara_effmass.settings import DaqSettings
 from scara_effmass.sim.measurement import ForceSensor, RandomPulses, SyntheticSignal
 from scara_effmass.values import FloatArray
 from scara_effmass.wire.cdr import NS
@@ -144,5 +144,5 @@ class SimCellSource(SimSource):
 
 def make_sim_source(settings: DaqSettings, now_ns: Callable[[], int]) -> ForceSource:
     """Return the source of the scene `settings.sim.scene`."""
-    source = HalfSineSource if settings.sim.scene is SimScene.HALF_SINES else SimCellSource
+    source = HalfSineSource if settings.sim.scene == "half_sines" else SimCellSource
     return source(settings, now_ns)

@@ -5,6 +5,7 @@ import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
+from functools import partial
 from typing import Any, final
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -34,6 +35,7 @@ _MAX_DEADLINE_NS = 3_600_000_000_000
 _VALIDATION = tuple(name for name in Validation.__slots__ if name not in {"stamp_ns", "series"})
 """Fields of the impact, but for the stamp and the series."""
 
+Decode = Callable[[bytes], Any]
 Take = Callable[[Any, int], None]
 OnDecision = Callable[[Decision], None]
 OnValidation = Callable[[Validation], None]
@@ -68,22 +70,28 @@ class CellClient(ClientNode):
         self._has_joined = False
         """Whether a monitor has joined another one at the last look at the graph."""
         self._on_decision, self._on_validation = on_decision or (lambda _: None), on_validation
-        self._joint_states = JointStateDecoder()
-        stream = topics.STREAM_QOS._replace(reliable=on_decision is not None)
-        self._subscriptions: list[tuple[Subscription, Take, bool]] = []
-        """Subscriptions, what takes their messages, and whether these may be older than this client."""
-        for kind, topic, qos, take in (
-            (ContactStates, topics.CONTACT_STATES, stream, self._take_contact_states),
-            (JointState, topics.JOINT_STATES, _LATEST, self._take_joint_state),
-            (RunInfo, topics.RUN_INFO, topics.INFO_QOS, self._take_run_info),
-            (ForceBlock, topics.FORCE, topics.FORCE_QOS._replace(reliable=False), self._take_force),
-            (Impact, topics.IMPACT, _RARE, self._take_impact),
-            (ImpactValidation, topics.IMPACT_VALIDATION, _RARE, self._take_validation),
-            (DiagnosticArray, topics.DIAGNOSTICS, _RARE, self._take_diagnostics),
-            (PayloadEstimate, topics.PAYLOAD_ESTIMATE, topics.DESCRIPTION_QOS, self._take_load),
+        stream, status = topics.STREAM_QOS._replace(reliable=on_decision is not None), self.status
+        self._subscriptions: list[tuple[Subscription, Decode, Take, bool]] = []
+        """Subscriptions, what decodes and takes their messages, and whether these may be older than this client."""
+        for kind, topic, qos, decode, take in (
+            (ContactStates, topics.CONTACT_STATES, stream, decode_contact_states, self._take_decision),
+            (JointState, topics.JOINT_STATES, _LATEST, JointStateDecoder().decode, status.take_joint_state),
+            (RunInfo, topics.RUN_INFO, topics.INFO_QOS, decode_run_info, status.take_run_info),
+            (
+                ForceBlock,
+                topics.FORCE,
+                topics.FORCE_QOS._replace(reliable=False),
+                decode_force_block,
+                status.take_force,
+            ),
+            (Impact, topics.IMPACT, _RARE, decode_impact, status.take_impact),
+            (ImpactValidation, topics.IMPACT_VALIDATION, _RARE, None, self._take_validation),
+            (DiagnosticArray, topics.DIAGNOSTICS, _RARE, None, self._take_diagnostics),
+            (PayloadEstimate, topics.PAYLOAD_ESTIMATE, topics.DESCRIPTION_QOS, None, self._take_load),
         ):
             subscription = self.node.create_subscription(kind, topic, lambda _: None, qos_profile(qos), raw=True)
-            self._subscriptions.append((subscription, take, qos.latched))
+            deserialize = partial(deserialize_message, message_type=kind)
+            self._subscriptions.append((subscription, decode or deserialize, take, qos.latched))
 
     @property
     def connected(self) -> bool:
@@ -105,10 +113,10 @@ class CellClient(ClientNode):
         if now_ns - self._graph_ns > _GRAPH_PERIOD_NS:
             self._graph_ns = now_ns
             self._look_at_graph()
-        for subscription, take, is_latched in self._subscriptions:
+        for subscription, decode, take, is_latched in self._subscriptions:
             for message, at_ns in self._taken(subscription, 0 if is_latched else self._polled_ns):
                 with suppress(DecodeError):  # no news, as silence
-                    take(message, at_ns)
+                    take(decode(message), at_ns)
         self._polled_ns = now_ns
         if self._has_joined:  # known before its first message; the messages of the other one show whether it is alive
             self.status.take_second_publisher(time.monotonic_ns())
@@ -164,25 +172,11 @@ class CellClient(ClientNode):
         if not self.node.count_publishers(topics.RUN_INFO):
             self.status.run_info = None
 
-    def _take_contact_states(self, data: bytes, at_ns: int) -> None:
-        decision = decode_contact_states(data)
+    def _take_decision(self, decision: Decision, at_ns: int) -> None:
         self.status.take_decision(decision, at_ns)
         self._on_decision(decision)
 
-    def _take_joint_state(self, data: bytes, at_ns: int) -> None:
-        self.status.take_joint_state(self._joint_states.decode(data), at_ns)
-
-    def _take_run_info(self, data: bytes, _: int) -> None:
-        self.status.run_info = decode_run_info(data)
-
-    def _take_force(self, data: bytes, _: int) -> None:
-        self.status.take_force(decode_force_block(data))
-
-    def _take_impact(self, data: bytes, at_ns: int) -> None:
-        self.status.take_impact(decode_impact(data), at_ns)
-
-    def _take_validation(self, data: bytes, _: int) -> None:
-        message: Any = deserialize_message(data, ImpactValidation)
+    def _take_validation(self, message: Any, _: int) -> None:  # noqa: ANN401 - the messages of rclpy have no types
         stamp = message.header.stamp
         values = {name: getattr(message, name) for name in _VALIDATION}
         stamp_ns, series = stamp.sec * NS + stamp.nanosec, series_from(message.series)
@@ -190,14 +184,13 @@ class CellClient(ClientNode):
         self.status.take_validation(validation)
         self._on_validation(validation)
 
-    def _take_load(self, data: bytes, at_ns: int) -> None:
-        message: Any = deserialize_message(data, PayloadEstimate)
+    def _take_load(self, message: Any, at_ns: int) -> None:  # noqa: ANN401
         values = {name: getattr(message, name) for name in LoadSample._fields[1:]}
-        self.status.take_load(LoadSample(at_ns=at_ns, **values))
+        self.status.loads.append(LoadSample(at_ns=at_ns, **values))
 
-    def _take_diagnostics(self, data: bytes, at_ns: int) -> None:
+    def _take_diagnostics(self, message: Any, at_ns: int) -> None:  # noqa: ANN401
         """Keep the diagnostics of the nodes in the namespace of this client."""
-        for status in deserialize_message(data, DiagnosticArray).status:
+        for status in message.status:
             node, _, name = status.name.partition(": ")
             if name and (node.rpartition("/")[0] or "/") == self.node.get_namespace():
                 values = {pair.key: pair.value for pair in status.values}

@@ -2,7 +2,7 @@
 """Diagnostic statuses of the force measurement."""
 
 import math
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
@@ -35,14 +35,14 @@ def daq_statuses(
     acquisition: Acquisition,
     signal: SignalConditioner,
     detections: Iterable[tuple[Detector, int]],
-    incompatible_qos: Collection[str] = (),
+    incompatible_qos: str = "",
 ) -> list[DiagnosticStatus]:
     """Return the statuses of the source and of each channel.
 
-    `detections` are the detector and the number of impacts of each channel; `incompatible_qos` has one line per
-    subscriber that cannot be connected.
+    `detections` are the detector and the number of impacts of each channel; `incompatible_qos` names the
+    subscribers that cannot be connected.
     """
-    statuses = [_source_status(acquisition, signal, "; ".join(sorted(incompatible_qos)))]
+    statuses = [_source_status(acquisition, signal, incompatible_qos)]
     statuses += [_channel_status(channel, *item) for channel, item in zip(signal.channels, detections, strict=True)]
     for entry in statuses:
         entry.hardware_id = acquisition.source.description

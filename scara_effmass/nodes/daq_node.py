@@ -27,13 +27,13 @@ from scara_effmass.nodes import parameters
 from scara_effmass.nodes.daq_health import daq_statuses, impact_text
 from scara_effmass.nodes.diagnostics import Diagnostics
 from scara_effmass.nodes.lifecycle import LifecycleBase, run
-from scara_effmass.settings import DaqSettings, FilterKind
+from scara_effmass.settings import DaqSettings
 from scara_effmass.settings.loading import fixed
 from scara_effmass.wire import topics
 from scara_effmass.wire.force import force_block_message, impact_message
 
 _POLL_S = 0.01
-_ACK_TIMEOUT_S = 5.0
+_ACK_TIMEOUT = Duration(seconds=5)
 """Fast DDS requests acknowledgements every 3 s."""
 _NS = 1_000_000_000
 _IMPACT_INTERVAL_S = 0.05
@@ -67,9 +67,9 @@ class DaqNode(LifecycleBase[NodeSettings]):
         settings = self.settings
         self._source: ForceSource = make_source(settings, self.now_ns)
         if self.get_parameter("use_sim_time").value and not self._source.uses_ros_time:
-            kind = settings.source.value
+            kind = settings.source
             raise SettingsError(f"{self.get_name()}: use_sim_time = true: must be false, {kind} measures in real time")
-        if settings.filter.kind is not FilterKind.NONE:
+        if settings.filter.kind != "none":
             import_module("scara_effmass.daq.lowpass")  # takes seconds, so not after the start
         self._outputs = [
             _Output(self, f"/{name}" if number else "", settings) for number, name in enumerate(self._source.channels)
@@ -98,7 +98,8 @@ class DaqNode(LifecycleBase[NodeSettings]):
         self._source.start()  # raises at once if the recording cannot be read
         self._source.close()
         deadline = time.monotonic() + self._source.subscriber_timeout
-        while not any(output.has_subscribers for output in self._outputs):
+        publishers = [publisher for output in self._outputs for publisher in (output.force, output.impact)]
+        while not any(publisher.get_subscription_count() for publisher in publishers):
             if time.monotonic() > deadline:
                 self.get_logger().warning(f"{self._source.description}: no subscriber yet, playing")
                 return
@@ -125,7 +126,8 @@ class DaqNode(LifecycleBase[NodeSettings]):
             output.publish_waiting()
         if self._is_over and not any(output.waiting for output in self._outputs):
             for output in self._outputs:
-                output.wait_delivered()
+                for publisher in (output.force, output.impact):
+                    publisher.wait_for_all_acked(_ACK_TIMEOUT)
             rclpy.try_shutdown()
 
     def _wake(self) -> None:
@@ -161,7 +163,11 @@ class DaqNode(LifecycleBase[NodeSettings]):
         state = acquisition.state
         if state is not self._state:
             if AcquisitionState.WAITING in {state, self._state}:
-                self._log_interruption()
+                statistics = acquisition.statistics()
+                lost = statistics.samples_lost + statistics.samples_dropped
+                text = f"{statistics.state.value}, {statistics.reconnects} reconnects, {lost} samples lost"
+                reason = f": {statistics.reason}" * bool(statistics.reason)
+                self._diagnostics.log.event(f"{self._source.description}: {text}{reason}", DiagnosticStatus.WARN)
             self._state = state
             self._diagnostics.report()
         if acquisition.failure is not None:
@@ -186,15 +192,6 @@ class DaqNode(LifecycleBase[NodeSettings]):
             if not impact.rebound:
                 self._diagnostics.log.event(impact_text(impact))
 
-    def _log_interruption(self) -> None:
-        """Log that the samples have stopped or resumed."""
-        if self._acquisition is not None:
-            statistics = self._acquisition.statistics()
-            lost = statistics.samples_lost + statistics.samples_dropped
-            text = f"{statistics.state.value}, {statistics.reconnects} reconnects, {lost} samples lost"
-            reason = f": {statistics.reason}" * bool(statistics.reason)
-            self._diagnostics.log.event(f"{self._source.description}: {text}{reason}", DiagnosticStatus.WARN)
-
     def _statuses(self) -> list[DiagnosticStatus]:
         if self._acquisition is None:
             return []
@@ -216,7 +213,7 @@ class _Output:
         self._lock = threading.Lock()  # a signal has a thread of its own
         self.waiting: list[values.Impact] = []
         """Impacts to publish, primary ones first."""
-        self._force, self._impact, self._wrench = (
+        self.force, self.impact, self._wrench = (
             node.create_owned_publisher(message_type, f"{topic}{suffix}", qos)
             for message_type, topic, qos in (
                 (ForceBlock, topics.FORCE, topics.FORCE_QOS),
@@ -225,11 +222,6 @@ class _Output:
             )
         )
         self.reset()
-
-    @property
-    def has_subscribers(self) -> bool:
-        """Whether force or impacts have a subscriber."""
-        return bool(self._force.get_subscription_count() or self._impact.get_subscription_count())
 
     def reset(self) -> None:
         """Restart the impact detection."""
@@ -240,14 +232,9 @@ class _Output:
         """Publish the blocks and the wrenches of their samples."""
         wrenches = self._settings.wrench_rate and self._wrench.get_subscription_count()
         for block in blocks:
-            self._force.publish(force_block_message(block))
+            self.force.publish(force_block_message(block))
             if wrenches:
                 self._publish_wrenches(block)
-
-    def wait_delivered(self) -> None:
-        """Wait until all reliable subscribers have acknowledged all messages, for at most 5 s per topic."""
-        for publisher in (self._force, self._impact):
-            publisher.wait_for_all_acked(Duration(seconds=_ACK_TIMEOUT_S))
 
     def publish_impacts(self, impacts: Sequence[values.Impact]) -> None:
         """Count detected impacts and publish the first one; the others wait for `publish_waiting`."""
@@ -264,7 +251,7 @@ class _Output:
             count = len(self.waiting) if at_once else 1 + len(self.waiting) // _IMPACTS_PER_INTERVAL
             due, self.waiting = self.waiting[:count], self.waiting[count:]
             for impact in due:
-                self._impact.publish(impact_message(impact))
+                self.impact.publish(impact_message(impact))
 
     def _publish_wrenches(self, block: values.ForceBlock) -> None:
         """Publish the largest sample of each interval, because an impact is shorter than an interval."""

@@ -114,7 +114,8 @@ class LifecycleBase(LifecycleNode, Generic[Parameters]):
         self._mismatches: dict[str, str] = {}
         """The topic of each line of `incompatible_qos`."""
         self._is_starting = False
-        self._abort_error: EffmassError | None = None
+        self.abort_error: EffmassError | None = None
+        """The error passed to `abort`."""
         self._owned = ExitStack()
         self._transition_error: Exception | None = None
         self._change_state = self._service_change_state.callback
@@ -190,7 +191,7 @@ class LifecycleBase(LifecycleNode, Generic[Parameters]):
         qos: Qos,
         *,
         raw: bool = False,
-        matched: Callable[[QoSSubscriptionMatchedInfo], None] | None = None,
+        matched: Callable[[QoSSubscriptionMatchedInfo], object] = lambda _: None,
         **events: Any,  # noqa: ANN401 - those of rclpy
     ) -> Subscription:
         """Return a subscription whose QoS parameters may override.
@@ -205,8 +206,7 @@ class LifecycleBase(LifecycleNode, Generic[Parameters]):
                 self.get_logger().warning(f"lost the publisher of {subscription.topic_name}")
             elif info.current_count == info.current_count_change and info.total_count > info.current_count:
                 self.get_logger().info(f"reconnected: {subscription.topic_name} has a publisher again")
-            if matched is not None:
-                matched(info)
+            matched(info)
 
         subscription = self.create_subscription(
             message_type,
@@ -301,14 +301,9 @@ class LifecycleBase(LifecycleNode, Generic[Parameters]):
 
     def abort(self, error: EffmassError) -> None:
         """End the process; `run` prints `error` and returns 2."""
-        self._abort_error = error
+        self.abort_error = error
         self.publish_last(Reason.STATED, str(error))
         rclpy.try_shutdown()
-
-    def raise_abort_error(self) -> None:
-        """Raise the error passed to `abort`, if any."""
-        if self._abort_error is not None:
-            raise self._abort_error
 
     def destroy_node(self) -> None:
         """Destroy the node and everything it owns."""
@@ -351,10 +346,10 @@ class LifecycleBase(LifecycleNode, Generic[Parameters]):
         self._mismatches.clear()
 
     @property
-    def incompatible_qos(self) -> set[str]:
-        """One line for each kind of endpoint that cannot be connected now, and its QoS policy that does not fit."""
+    def incompatible_qos(self) -> str:
+        """The endpoints that cannot be connected now, each with its QoS policy that does not fit."""
         self._mismatches = {line: topic for line, topic in self._mismatches.items() if self._has_mismatch(topic)}
-        return set(self._mismatches)
+        return "; ".join(sorted(self._mismatches))
 
     def _has_mismatch(self, topic: str) -> bool:
         """Return whether an endpoint of this node does not fit another one of the topic."""
@@ -451,8 +446,8 @@ def run(name: str, node_class: Callable[[], AnyNode], args: Sequence[str] | None
                 # A signal or `abort` ended the context.
             finally:
                 _end(node, executor)
-            if node is not None:
-                node.raise_abort_error()
+            if node is not None and node.abort_error is not None:
+                raise node.abort_error
     except EffmassError as error:
         print(error, file=sys.stderr)  # noqa: T201
         with suppress(*REFUSALS):  # without ROS there is no /rosout either

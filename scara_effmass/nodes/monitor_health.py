@@ -3,7 +3,7 @@
 
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable
 from itertools import pairwise
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -23,7 +23,6 @@ from scara_effmass.values import ContactAssessment, Decision, Verdict, at_least,
 EDGES_US = (125, 250, 500, 1000, 2000, 4000, 8000, 16000)
 _MAX_RECENT = 10_000
 """Bounds the memory where joint states come faster than reports."""
-_NO_ROBOT = "no robot"
 _LEVELS = {
     Verdict.OK: DiagnosticStatus.OK,
     Verdict.WARN: DiagnosticStatus.WARN,
@@ -79,23 +78,6 @@ def worst_contacts(decision: Decision, changes: Iterable[Decision]) -> tuple[Con
     return tuple(worst.values())
 
 
-def monitor_statuses(
-    monitor: Monitor | None,
-    contacts: Iterable[ContactAssessment],
-    changes: Mapping[str, int],
-    input_age: float,
-    joint_states: DiagnosticStatus,
-) -> list[DiagnosticStatus]:
-    """Return the statuses of one report; `changes` counts those of the verdict by contact point."""
-    statuses = [joint_states]
-    if monitor is not None:
-        statuses.append(_model_status(monitor))
-    statuses += [_contact_status(contact, changes.get(contact.contact_point, 0), input_age) for contact in contacts]
-    for entry in statuses:
-        entry.hardware_id = (monitor.dynamics.robot.name if monitor else "") or _NO_ROBOT
-    return statuses
-
-
 def input_status(
     monitor: Monitor | None,
     *,
@@ -103,18 +85,18 @@ def input_status(
     unheard: str,
     received: int,
     skipped: int,
-    overload: str,
-    incompatible_qos: Collection[str],
+    skipped_now: int,
+    incompatible_qos: str,
     latencies: Latencies,
     has_conflict: bool = False,
 ) -> DiagnosticStatus:
     """Return the status of the joint states.
 
-    `unheard` is a warning that they have no publisher, `overload` one that some were skipped. `has_conflict`: two
-    publishers have sent the robot's joints. Without it, one that sends other joints is no problem.
+    `unheard` is a warning that they have no publisher; `skipped_now` were skipped since the last report.
+    `has_conflict`: two publishers have sent the robot's joints. Without it, one that sends other joints is no problem.
     """
-    incompatible = "; ".join(sorted(incompatible_qos))
-    problem = incompatible or unheard or overload
+    overload = f"overload: {skipped_now} joint states were skipped for newer ones" if skipped_now else ""
+    problem = incompatible_qos or unheard or overload
     if has_conflict or (publishers > 1 and not (monitor and monitor.ignored)):
         problem = f"{publishers} publishers of joint states: only one may send the robot's joints"
     values = {
@@ -124,7 +106,7 @@ def input_status(
         "refused": monitor.rejected if monitor else 0,
         "of other devices": monitor.ignored if monitor else 0,
         "moved, but not in the model": ", ".join(monitor.unmodelled_joints) if monitor else "",
-        "incompatible QoS": incompatible,
+        "incompatible QoS": incompatible_qos,
         **{f"latency {name} [us]": f"{latency_us:.0f}" for name, latency_us in latencies.report().items()},
         "latency histogram [us]": latencies.histogram,
         "missed deadlines": latencies.missed,
@@ -137,7 +119,8 @@ def cause_text(cause: Cause) -> str:
     return f"{cause.contact_point}: {cause.reason}".removeprefix(": ")
 
 
-def _model_status(monitor: Monitor) -> DiagnosticStatus:
+def model_status(monitor: Monitor) -> DiagnosticStatus:
+    """Return the status of the robot, its models and the settings."""
     dynamics, robot, cause = monitor.dynamics, monitor.dynamics.robot, monitor.first_cause
     values = {
         "robot": label(robot),
@@ -176,7 +159,8 @@ def contact_text(contact: ContactAssessment) -> str:
     return f"{contact.verdict.name}{numbers}{': ' * bool(contact.reason)}{contact.reason}{advice}"
 
 
-def _contact_status(contact: ContactAssessment, changes: int, input_age: float) -> DiagnosticStatus:
+def contact_status(contact: ContactAssessment, changes: int, input_age: float) -> DiagnosticStatus:
+    """Return the status of a contact point; `changes` counts those of its verdict."""
     values = {
         "verdict": contact.verdict.name,
         "speed [m/s]": at_least(contact.speed, 4),

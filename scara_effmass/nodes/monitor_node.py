@@ -31,9 +31,10 @@ from scara_effmass.nodes.lifecycle import RCLError, run, with_info
 from scara_effmass.nodes.monitor_health import (
     Latencies,
     cause_text,
+    contact_status,
     input_status,
     missing_models,
-    monitor_statuses,
+    model_status,
     worst_contacts,
 )
 from scara_effmass.nodes.overload import newest_waiting
@@ -408,18 +409,18 @@ class MonitorNode(RobotNode[NodeSettings]):
             unheard=no_publisher(self, topics.JOINT_STATES, "sensor_msgs/msg/JointState"),
             received=self._received,
             skipped=self._skipped,
-            overload=self._overload(),
+            skipped_now=self._skipped - self._skipped_before,
             incompatible_qos=self.incompatible_qos,
             latencies=self._latencies,
             has_conflict=any(contact.reason_code is Reason.SECOND_PUBLISHER for contact in contacts),
         )
+        self._skipped_before = self._skipped
+        statuses = [joint_states, *([model_status(self._monitor)] if self._monitor else [])]
         input_age = decision.input_age if decision else 0.0
-        return monitor_statuses(self._monitor, contacts, self._change_counts, input_age, joint_states)
-
-    def _overload(self) -> str:
-        """Return a warning if joint states were skipped since the last report."""
-        skipped, self._skipped_before = self._skipped - self._skipped_before, self._skipped
-        return f"overload: {skipped} joint states were skipped for newer ones" if skipped else ""
+        statuses += [contact_status(one, self._change_counts[one.contact_point], input_age) for one in contacts]
+        for entry in statuses:
+            entry.hardware_id = (self._monitor.dynamics.robot.name if self._monitor else "") or "no robot"
+        return statuses
 
     def refuse_robot(self, reason: str) -> None:
         """Give UNKNOWN for `reason`."""

@@ -21,6 +21,7 @@ from scara_effmass.settings.loading import (
     applies,
     check_types,
     checked,
+    choices,
     fixed,
     flat_fields,
     is_foreign,
@@ -135,8 +136,8 @@ def _descriptor(name: str, field: FieldInfo) -> ParameterDescriptor:
         description=field.description or "",
         read_only=isinstance(extra, dict) and bool(extra.get("read_only")),
     )
-    if isinstance(annotation, type) and issubclass(annotation, Enum):
-        descriptor.additional_constraints = "one of " + ", ".join(member.value for member in annotation)
+    if names := choices(field):
+        descriptor.additional_constraints = f"one of {', '.join(names)}"
     elif annotation is float:
         # ROS cannot express an open end; the settings model refuses it.
         bounds = _bounds(field.metadata)

@@ -5,7 +5,6 @@ from dataclasses import replace
 from hashlib import sha256
 from typing import TypeVar
 
-from rclpy.event_handler import QoSSubscriptionMatchedInfo
 from rclpy.qos import DurabilityPolicy
 from std_msgs.msg import String
 
@@ -77,11 +76,8 @@ class RobotNode(LifecycleBase[Parameters]):
             topics.ROBOT_DESCRIPTION,
             self._on_description,
             topics.DESCRIPTION_QOS,
-            matched=self._on_description_matched,
+            matched=lambda _: self._has_several(),
         )
-
-    def _on_description_matched(self, _: QoSSubscriptionMatchedInfo) -> None:
-        self._has_several()
 
     def _has_several(self) -> bool:
         """Return whether several publishers can reach this node, and distrust them."""

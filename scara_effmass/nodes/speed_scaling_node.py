@@ -8,8 +8,8 @@ first one is silent.
 import math
 import threading
 import time
-from enum import Enum
 from functools import partial
+from typing import Literal
 
 from control_msgs.msg import SpeedScalingFactor
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -34,17 +34,8 @@ _STANDBY_FACTOR = -0.0
 """A zero by which the node on standby tells its own messages from those of the other one."""
 
 
-class Output(str, Enum):
-    """Message that the controller expects."""
-
-    FACTOR = "factor"
-    """control_msgs/SpeedScalingFactor, 0 to 1: the joint trajectory controller."""
-    PERCENT = "percent"
-    """std_msgs/Float64, 0 to 100, for a node of your own: the unit that UR's driver reports, but has no input for."""
-
-
-_MESSAGES = {Output.FACTOR: (SpeedScalingFactor, "factor", 1.0), Output.PERCENT: (Float64, "data", 100.0)}
-"""Type, field and unit of the messages."""
+_MESSAGES = {"factor": (SpeedScalingFactor, "factor", 1.0), "percent": (Float64, "data", 100.0)}
+"""Type, field and unit of the messages: of the joint trajectory controller; and the unit that UR's driver reports."""
 
 
 class NodeSettings(NodeParameters):
@@ -62,8 +53,8 @@ class NodeSettings(NodeParameters):
     standby: bool = fixed(
         default=False, description="send nothing but 0, and only while no other node has sent a factor for `timeout`"
     )
-    output: Output = fixed(
-        Output.FACTOR,
+    output: Literal["factor", "percent"] = fixed(
+        "factor",
         "factor (control_msgs/SpeedScalingFactor) or percent (std_msgs/Float64, for a node of your own: no controller, "
         "nor UR's driver, subscribes to it)",
     )
@@ -162,7 +153,7 @@ class SpeedScalingNode(LifecycleBase[NodeSettings]):
                 self._send()
 
     def _on_factor(self, message: SpeedScalingFactor | Float64) -> None:
-        if not _is_of_standby(getattr(message, self._field)):
+        if math.copysign(1.0, getattr(message, self._field)) != math.copysign(1.0, _STANDBY_FACTOR):
             self._heard_ns = time.monotonic_ns()
 
     def _publish(self) -> None:
@@ -198,7 +189,7 @@ class SpeedScalingNode(LifecycleBase[NodeSettings]):
         problem = disobedience or (f"stopped: {reason}" if reason else "")
         if not problem and unreported:
             problem = f"was stopped for a moment: {unreported}"
-        problem = problem or "; ".join(sorted(self.incompatible_qos))
+        problem = problem or self.incompatible_qos
         if not controllers:
             unheard = f"no controller subscribes to {self._publisher.topic_name}: remap it to that of the controller"
             problem = f"{problem}; {unheard}" if problem else unheard
@@ -216,10 +207,6 @@ class SpeedScalingNode(LifecycleBase[NodeSettings]):
         senders = {(info.node_namespace, info.node_name) for info in self.get_publishers_info_by_topic(topic)}
         subscribers = self.get_subscriptions_info_by_topic(topic)
         return sum((info.node_namespace, info.node_name) not in senders for info in subscribers)
-
-
-def _is_of_standby(factor: float) -> bool:
-    return math.copysign(1.0, factor) < 0.0
 
 
 main = partial(run, "speed_scaling", SpeedScalingNode)

@@ -6,10 +6,12 @@ from collections.abc import Callable, Iterable, Sequence
 from collections.abc import Set as AbstractSet
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from scara_effmass_msgs.msg import ContactStates, ForceBlock, Impact, ImpactValidation, RunInfo
 
+from scara_effmass import values
 from scara_effmass.errors import DecodeError, SettingsError
 from scara_effmass.impacts.detector import Detector
 from scara_effmass.impacts.validator import Result, Validator
@@ -19,7 +21,7 @@ from scara_effmass.nodes.lifecycle import LifecycleBase, run
 from scara_effmass.nodes.validator_health import impact_text, series_status
 from scara_effmass.settings import DetectionSettings, ValidatorSettings
 from scara_effmass.settings.loading import fixed
-from scara_effmass.values import ValidatedImpact
+from scara_effmass.values import Decision, ValidatedImpact
 from scara_effmass.wire import topics
 from scara_effmass.wire.contact_states import decode_contact_states
 from scara_effmass.wire.force import decode_force_block, decode_impact
@@ -63,50 +65,44 @@ class ValidatorNode(LifecycleBase[NodeSettings]):
         self._detector = Detector(settings.detection)
         self._publisher = self.create_owned_publisher(ImpactValidation, topics.IMPACT_VALIDATION, topics.STREAM_QOS)
         self._log = Diagnostics(self, self._statuses).log
-        inputs: list[tuple[type, str, Callable[..., None], topics.Qos]] = [
-            (ContactStates, topics.CONTACT_STATES, self._on_contact_states, topics.VALIDATOR_INPUT_QOS),
-            (ForceBlock, topics.FORCE, self._on_force, topics.VALIDATOR_INPUT_QOS),
-            (RunInfo, topics.RUN_INFO, self._on_run_info, topics.INFO_QOS),
+        inputs: list[tuple[type, str, Callable[[bytes], Any], Callable[[Any], None]]] = [
+            (ContactStates, topics.CONTACT_STATES, decode_contact_states, self._on_decision),
+            (ForceBlock, topics.FORCE, decode_force_block, self._on_force),
         ]
         if not settings.find_impacts:
-            inputs.append((Impact, topics.IMPACT, self._on_impact, topics.VALIDATOR_INPUT_QOS))
-        for kind, topic, callback, qos in inputs:
-            self.create_owned_subscription(kind, topic, callback, qos, raw=True)
+            inputs.append((Impact, topics.IMPACT, decode_impact, self._on_impact))
+        for kind, topic, decode, take in inputs:
+            self.create_owned_subscription(
+                kind, topic, partial(self._on_message, decode, take), topics.VALIDATOR_INPUT_QOS, raw=True
+            )
+        self.create_owned_subscription(RunInfo, topics.RUN_INFO, self._on_run_info, topics.INFO_QOS, raw=True)
         self.create_owned_trigger("~/reset", self._reset)
         self.create_owned_trigger("~/write_report", self._on_write_report)
 
-    def _on_contact_states(self, data: bytes) -> None:
+    def _on_message(self, decode: Callable[[bytes], Any], take: Callable[[Any], None], data: bytes) -> None:
+        """Take a decoded message, or count it."""
         if not self.active:
             return
         try:
-            decision = decode_contact_states(data)
+            message = decode(data)
         except DecodeError as error:
             self._undecodable[str(error)] += 1
-            return
+        else:
+            take(message)
+
+    def _on_decision(self, decision: Decision) -> None:
         if not decision.watchdog:
             self._contact_points.update(contact.contact_point for contact in decision.contacts)
         self._publish(self._validator.add_decision(decision, self.now_ns()))
 
-    def _on_impact(self, data: bytes) -> None:
-        if not self.active:
-            return
-        try:
-            self._publish(self._validator.add_impact(decode_impact(data), self.now_ns()))
-        except DecodeError as error:
-            self._undecodable[str(error)] += 1
+    def _on_impact(self, impact: values.Impact) -> None:
+        self._publish(self._validator.add_impact(impact, self.now_ns()))
 
-    def _on_force(self, data: bytes) -> None:
-        if not self.active:
-            return
-        try:
-            block = decode_force_block(data)
-        except DecodeError as error:
-            self._undecodable[str(error)] += 1
-            return
+    def _on_force(self, block: values.ForceBlock) -> None:
         self._validator.add_force(block, self.now_ns())
         if self.settings.find_impacts:
             for impact in self._detector.feed(block):
-                self._publish(self._validator.add_impact(impact, self.now_ns()))
+                self._on_impact(impact)
 
     def _on_run_info(self, data: bytes) -> None:
         try:

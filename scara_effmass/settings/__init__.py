@@ -3,7 +3,6 @@
 
 from scara_effmass.settings.daq import (
     BagSettings,
-    Coupling,
     DaqSettings,
     DetectionSettings,
     FilterKind,
@@ -12,9 +11,7 @@ from scara_effmass.settings.daq import (
     ImportSettings,
     Ni9230Settings,
     SensorSettings,
-    SimScene,
     SimSettings,
-    Stamps,
     TareSettings,
 )
 from scara_effmass.settings.loading import checked, load_settings
@@ -38,7 +35,6 @@ __all__ = [
     "WHOLE_ARM",
     "BagSettings",
     "ContactType",
-    "Coupling",
     "CriterionSettings",
     "DaqSettings",
     "DetectionSettings",
@@ -55,9 +51,7 @@ __all__ = [
     "Ni9230Settings",
     "SensorSettings",
     "ServoSettings",
-    "SimScene",
     "SimSettings",
-    "Stamps",
     "TareSettings",
     "ValidatorSettings",
     "VelocitySource",

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import re
-from enum import Enum
 from typing import Literal
 
 from pydantic import field_validator
@@ -14,45 +13,10 @@ from scara_effmass.settings.loading import FrozenSettings, fixed, tunable
 
 Axis = Literal["x", "y", "z", "norm"]
 Unit = Literal["", "N", "kN", "daN", "lbf", "kgf", "V", "mV"]
-
-
-class ForceSourceKind(str, Enum):
-    """Force source."""
-
-    NI9230 = "ni9230"
-    BAG = "bag"
-    SIM = "sim"
-
-
-class FilterKind(str, Enum):
-    """Low-pass filter of the force; its delay is subtracted from the stamps and published."""
-
-    NONE = "none"
-    CAUSAL = "causal"
-    """Second-order Butterworth: a short delay that depends on the frequency."""
-    ZERO_PHASE = "zero_phase"
-    """Gaussian FIR: the same delay for all frequencies, no overshoot."""
-
-
-class Coupling(str, Enum):
-    """Coupling of the converter."""
-
-    AC = "AC"
-    DC = "DC"
-
-
-class Stamps(str, Enum):
-    """Stamps of a played bag."""
-
-    RECORDED = "recorded"
-    NOW = "now"
-
-
-class SimScene(str, Enum):
-    """Simulated force."""
-
-    HALF_SINES = "half_sines"
-    CELL = "cell"
+ForceSourceKind = Literal["ni9230", "bag", "sim"]
+FilterKind = Literal["none", "causal", "zero_phase"]
+"""Low-pass of the force: second-order Butterworth, with a short delay that depends on the frequency, or Gaussian FIR,
+with the same delay for all frequencies and no overshoot. The delay is subtracted from the stamps and published."""
 
 
 class SensorSettings(FrozenSettings):
@@ -82,7 +46,7 @@ class TareSettings(FrozenSettings):
 class FilterSettings(FrozenSettings):
     """Low-pass over the force."""
 
-    kind: FilterKind = fixed(FilterKind.NONE, "none, causal (Butterworth) or zero_phase (Gaussian)")
+    kind: FilterKind = fixed("none", "none, causal (Butterworth) or zero_phase (Gaussian)")
     cutoff: float = fixed(2000.0, "frequency of half power [Hz]", gt=0.0, le=1e5)
 
 
@@ -109,7 +73,7 @@ class Ni9230Settings(FrozenSettings):
         12_800.0, "requested rate; the device selects the nearest one that it has [Hz]", gt=0.0, le=1e6
     )
     samples: int = fixed(0, "samples of a finite acquisition, 10000 in the paper; 0: continuous", ge=0)
-    coupling: Coupling = fixed(Coupling.AC, "AC or DC")
+    coupling: Literal["AC", "DC"] = fixed("AC", "AC or DC")
     current: float = fixed(0.004, "excitation [A]", ge=0.0, le=0.02)
     filter_delay_samples: float = fixed(
         38.0, "delay of the converter's digital filter if the driver does not state it [samples]", ge=0.0, le=1000.0
@@ -135,14 +99,16 @@ class BagSettings(FrozenSettings):
     unit: Unit = fixed("", "unit of wrenches: N, kN, daN, lbf, kgf, V or mV; empty: N")
     rate: float = fixed(1.0, "multiple of the recorded speed; 0: as fast as possible", ge=0.0, le=1e3)
     subscriber_timeout: float = fixed(3.0, "how long to wait for a subscriber before playing [s]", ge=0.0, le=3600.0)
-    stamps: Stamps = fixed(Stamps.RECORDED, "recorded, or now: as if measured now; relative stamps are always now")
+    stamps: Literal["recorded", "now"] = fixed(
+        "recorded", "recorded, or now: as if measured now; relative stamps are always now"
+    )
 
 
 class SimSettings(FrozenSettings):
     """Simulated force as the source."""
 
-    scene: SimScene = fixed(
-        SimScene.HALF_SINES,
+    scene: Literal["half_sines", "cell"] = fixed(
+        "half_sines",
         "half_sines: noise and half-sine impacts on all channels; cell: the simulated cell, whose robot sim_node moves",
     )
     start: float = fixed(
@@ -159,7 +125,7 @@ class SimSettings(FrozenSettings):
 class DaqSettings(FrozenSettings):
     """All settings of `daq_node`."""
 
-    source: ForceSourceKind = fixed(ForceSourceKind.NI9230, "force source: ni9230, bag or sim")
+    source: ForceSourceKind = fixed("ni9230", "force source: ni9230, bag or sim")
     frame_id: str = fixed("force_sensor", "frame of the sensor; its z axis points along compression")
     block_time: float = fixed(0.1, "time between two reads, which is the length of a block [s]", ge=0.005, le=2.0)
     backlog: float = fixed(

@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from enum import Enum
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
@@ -134,6 +134,14 @@ def flat_fields(settings: type[BaseModel], prefix: str = "") -> dict[str, FieldI
     return fields
 
 
+def choices(field: FieldInfo) -> list[str]:
+    """Return the texts that a setting may have; none if it is not one of several."""
+    kind = field.annotation
+    if isinstance(kind, type) and issubclass(kind, Enum):
+        return [member.value for member in kind]
+    return [text for text in get_args(kind) if text] if get_origin(kind) is Literal else []
+
+
 def nearest(name: str, names: Iterable[str]) -> str:
     """Return the rule for an unknown `name`: those of `names` that begin with it, the most similar one, or all."""
     names = list(names)
@@ -143,14 +151,16 @@ def nearest(name: str, names: Iterable[str]) -> str:
 
 
 def load_settings(
-    kind: type[Settings], path: Path, node: str, other_nodes: Collection[str] = (), *, of_one_cell: bool = True
+    kind: type[Settings], path: Path | None, node: str, other_nodes: Collection[str] = (), *, of_one_cell: bool = True
 ) -> Settings:
-    """Return the settings of `node` ("monitor") in the ROS parameter file at `path`.
+    """Return the settings of `node` ("monitor") in the ROS parameter file at `path`, the defaults without one.
 
     The file contains `/**`, `node`, or `node` in a namespace, over `ros__parameters`, as written by `ros2 param dump`.
     Parameters of other nodes are ignored; a file that is only for `other_nodes` gives the defaults. Raises
     SettingsError, also `of_one_cell` for a file with the node in several namespaces.
     """
+    if path is None:
+        return kind()
     parameters: dict[str, Any] = {}
     sections = parameter_sections(path, node, other_nodes)
     cells = [name for name, _ in sections if "*" not in name]

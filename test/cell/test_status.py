@@ -61,7 +61,7 @@ def test_load_text_is_that_of_the_last_estimate_or_of_the_monitor() -> None:
     values = {"load by the torques": "unknown: effort_uncertainty is 0"}
     status.diagnostics["/monitor: model"] = Diagnostic("/monitor: model", 0, "", values, S)
     assert status.load_text(S) == "unknown: effort_uncertainty is 0"
-    status.take_load(LoadSample(S, 0.5, 0.4, 0.6, 0.25, is_observable=True, text="0.50 kg (0.40 to 0.60)"))
+    status.loads.append(LoadSample(S, 0.5, 0.4, 0.6, 0.25, is_observable=True, text="0.50 kg (0.40 to 0.60)"))
     assert status.load_text(3 * S) == "0.50 kg (0.40 to 0.60); 2 s ago"
 
 

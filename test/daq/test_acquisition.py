@@ -17,7 +17,7 @@ from scara_effmass.daq.acquisition import Acquisition, AcquisitionState
 from scara_effmass.daq.sim_source import HalfSineSource
 from scara_effmass.daq.source import ForceSource, Reading
 from scara_effmass.errors import DaqError, DeviceLostError, DeviceMissingError, OverrunError
-from scara_effmass.settings import BagSettings, DaqSettings, ForceSourceKind, Ni9230Settings, Stamps
+from scara_effmass.settings import BagSettings, DaqSettings, Ni9230Settings
 from test.daq.conftest import NiDevice
 from test.daq.force_bag import force_block, write_blocks
 
@@ -388,7 +388,7 @@ def test_end_of_a_damaged_recording_states_the_losses() -> None:
 
 def test_runs_of_a_bag_are_passed_on(tmp_path: Path) -> None:
     path = write_blocks(tmp_path / "run", (force_block(500 * n, 500) for n in range(4)))
-    settings = DaqSettings(source=ForceSourceKind.BAG, backlog=9.0, bag=BagSettings(path=str(path), stamps=Stamps.NOW))
+    settings = DaqSettings(source="bag", backlog=9.0, bag=BagSettings(path=str(path), stamps="now"))
     times = chain([500 * NS, 501 * NS, 501 * NS, 400 * NS], repeat(410 * NS))
     acquisition = Acquisition(make_source(settings, lambda: next(times)), settings, notifications := Notifications())
     acquisition.start()
@@ -468,7 +468,7 @@ def test_recording_has_no_latency() -> None:
 
 
 def test_half_sine_source_is_read_in_real_time() -> None:
-    settings = DaqSettings(source=ForceSourceKind.SIM, block_time=0.005, backlog=600.0)
+    settings = DaqSettings(source="sim", block_time=0.005, backlog=600.0)
     notifications = Notifications()
     acquisition = Acquisition(HalfSineSource(settings, lambda: 42), settings, notifications)
     acquisition.start()

@@ -16,7 +16,7 @@ from scara_effmass.settings import FilterKind, FilterSettings
 from scara_effmass.values import FloatArray
 
 RATE = 12_800.0
-KINDS = (FilterKind.CAUSAL, FilterKind.ZERO_PHASE)
+KINDS = ("causal", "zero_phase")
 
 kinds = st.sampled_from(KINDS)
 relative_cutoffs = st.floats(0.01, 0.49)
@@ -60,12 +60,12 @@ def test_ramp_is_late_by_the_stated_delay(kind: FilterKind, relative_cutoff: flo
 def test_delay_of_the_butterworth_is_that_of_the_analogue_filter(relative_cutoff: float) -> None:
     # H = 1 / (s² + sqrt(2) s + 1) has the delay sqrt(2) at s = 0; the bilinear transform maps s = j to the cutoff.
     delay = math.sqrt(2.0) / (2.0 * math.tan(math.pi * relative_cutoff))
-    assert lowpass(FilterKind.CAUSAL, relative_cutoff * RATE).delay == pytest.approx(delay, rel=1e-6)
+    assert lowpass("causal", relative_cutoff * RATE).delay == pytest.approx(delay, rel=1e-6)
 
 
 @given(relative_cutoffs, st.floats(0.0, 0.5))
 def test_gaussian_delays_all_frequencies_equally(relative_cutoff: float, frequency: float) -> None:
-    low = lowpass(FilterKind.ZERO_PHASE, relative_cutoff * RATE)
+    low = lowpass("zero_phase", relative_cutoff * RATE)
     response = impulse_response(low, 2 * low.memory)
     shifted_back = gain_at(response, frequency) * np.exp(2j * math.pi * frequency * low.delay)
     assert abs(shifted_back.imag) < 1e-12
@@ -75,15 +75,15 @@ def test_gaussian_delays_all_frequencies_equally(relative_cutoff: float, frequen
 
 @given(relative_cutoffs, signals)
 def test_gaussian_does_not_overshoot(relative_cutoff: float, samples: FloatArray) -> None:
-    output = lowpass(FilterKind.ZERO_PHASE, relative_cutoff * RATE)(samples)
+    output = lowpass("zero_phase", relative_cutoff * RATE)(samples)
     rounding = 1e-12 * np.abs(samples).max()
     assert output.max() <= samples.max() + rounding
     assert output.min() >= samples.min() - rounding
 
 
 @given(kinds, relative_cutoffs, signals, st.lists(st.floats(0.0, 1.0), max_size=8))
-@example(FilterKind.CAUSAL, 0.1, np.sin(np.arange(300.0)), [0.1, 0.11, 0.5, 0.9])
-@example(FilterKind.ZERO_PHASE, 0.1, np.sin(np.arange(300.0)), [0.1, 0.11, 0.5, 0.9])
+@example("causal", 0.1, np.sin(np.arange(300.0)), [0.1, 0.11, 0.5, 0.9])
+@example("zero_phase", 0.1, np.sin(np.arange(300.0)), [0.1, 0.11, 0.5, 0.9])
 def test_size_of_portions_does_not_matter(
     kind: FilterKind, relative_cutoff: float, samples: FloatArray, cuts: list[float]
 ) -> None:
@@ -93,7 +93,7 @@ def test_size_of_portions_does_not_matter(
     portions = np.concatenate(
         [low(portion) for portion in np.split(samples, [round(cut * samples.size) for cut in sorted(cuts)])]
     )
-    if kind is FilterKind.CAUSAL:
+    if kind == "causal":
         assert portions.tobytes() == whole.tobytes()
     else:
         assert np.abs(portions - whole).max() <= 1e-14 * np.abs(samples).max()
@@ -110,7 +110,7 @@ def test_influence_beyond_the_stated_memory_is_negligible(kind: FilterKind, rela
     low = lowpass(kind, relative_cutoff * RATE)
     response = np.abs(impulse_response(low))
     left = response[low.memory + 1 :].sum() / response.sum()
-    assert left <= (0.0 if kind is FilterKind.ZERO_PHASE else 2.0 * NEGLIGIBLE)
+    assert left <= (0.0 if kind == "zero_phase" else 2.0 * NEGLIGIBLE)
     assert response[: low.memory + 1].sum() > 0.0
 
 
@@ -143,6 +143,6 @@ def test_cutoff_above_half_the_sample_rate_is_refused(kind: FilterKind, cutoff: 
 
 def test_gaussian_with_too_many_taps_is_refused() -> None:
     with pytest.raises(SettingsError, match=r"^filter.cutoff = 1: must be >= 4 Hz with zero_phase at 12800 Hz; "):
-        lowpass(FilterKind.ZERO_PHASE, 1.0)
-    assert lowpass(FilterKind.ZERO_PHASE, 4.0).memory < MAX_TAPS
-    assert lowpass(FilterKind.CAUSAL, 1.0).delay > 1000.0
+        lowpass("zero_phase", 1.0)
+    assert lowpass("zero_phase", 4.0).memory < MAX_TAPS
+    assert lowpass("causal", 1.0).delay > 1000.0

@@ -5,15 +5,13 @@ import pytest
 from scara_effmass.daq import make_source
 from scara_effmass.daq.sim_source import HalfSineSource
 from scara_effmass.daq.source import Reading
-from scara_effmass.settings import DaqSettings, ForceSourceKind, SensorSettings, SimSettings
+from scara_effmass.settings import DaqSettings, SensorSettings, SimSettings
 from scara_effmass.sim.measurement import ForceSensor, RandomPulses, SyntheticSignal
 from test.daq.force_bag import Clock
 
 NS = 1_000_000_000
 NOW_NS = 1_767_225_600 * NS
-SETTINGS = DaqSettings(
-    source=ForceSourceKind.SIM, sim=SimSettings(channels=2, seed=5, impact_period=0.2, clock_error=0.0)
-)
+SETTINGS = DaqSettings(source="sim", sim=SimSettings(channels=2, seed=5, impact_period=0.2, clock_error=0.0))
 BLOCK = 1280
 
 
@@ -75,9 +73,7 @@ def test_late_reads_lose_nothing() -> None:
 
 @pytest.mark.parametrize("error", [-1e-3, 50e-6])
 def test_simulated_converter_has_the_clock_error(error: float) -> None:
-    source, clock = started(
-        DaqSettings(source=ForceSourceKind.SIM, sim=SimSettings(sample_rate=1000.0, clock_error=error))
-    )
+    source, clock = started(DaqSettings(source="sim", sim=SimSettings(sample_rate=1000.0, clock_error=error)))
     start_ns = clock.now_ns
     for number in range(1, 401):
         clock.now_ns = start_ns + round(number * 0.1 * NS / (1.0 + error)) - 1

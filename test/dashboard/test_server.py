@@ -181,7 +181,7 @@ def test_load_that_is_not_observable_is_a_gap() -> None:
     status, now_ns = CellStatus(0), 100_000_000_000
     sample = LoadSample(now_ns - 2_000_000_000, 0.5, 0.4, 0.6, 0.25, is_observable=True, text="")
     for one in (sample._replace(at_ns=1), sample, sample._replace(at_ns=now_ns, is_observable=False)):
-        status.take_load(one)
+        status.loads.append(one)
     load, lower, upper, stated = load_lines(status, now_ns)
     assert load == [[-2.0, 0.5], [0.0, None]]
     assert [line[0][1] for line in (lower, upper, stated)] == [0.4, 0.6, 0.25]

@@ -8,7 +8,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from scara_effmass.codes import Reason
 from scara_effmass.model.load import load_robot
-from scara_effmass.nodes.monitor_health import monitor_statuses, worst_contacts
+from scara_effmass.nodes.monitor_health import contact_status, model_status, worst_contacts
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Cause, Monitor, unknown_assessments, unknown_contact
 from scara_effmass.safety.second_channel import ReferenceChannel
@@ -20,28 +20,26 @@ from test.decisions import decision_on
 DISAGREES = "the compiled kernel disagrees with the reference in speed"
 
 
-def model_status(settings: MonitorSettings) -> tuple[DiagnosticStatus, Mapping[str, str]]:
+def status_of(settings: MonitorSettings) -> tuple[DiagnosticStatus, Mapping[str, str]]:
     monitor = Monitor(RobotDynamics(load_robot(settings=settings)), settings)
-    _, status = monitor_statuses(monitor, (), {}, 0.0, DiagnosticStatus())
+    status = model_status(monitor)
     return status, {pair.key: pair.value for pair in status.values}
 
 
-def test_unknown_is_an_error_and_without_a_robot_there_is_a_hardware_id() -> None:
+def test_unknown_is_an_error() -> None:
     decision = unknown_assessments(Reason.STATED, "no robot_description yet").decision(0)
-    statuses = monitor_statuses(None, decision.contacts, {}, 0.0, DiagnosticStatus())
-    assert statuses[-1].level == DiagnosticStatus.ERROR
-    assert {status.hardware_id for status in statuses} == {"no robot"}
+    assert contact_status(decision.worst, 0, 0.0).level == DiagnosticStatus.ERROR
 
 
 def test_joints_without_rotor_inertia_are_a_warning() -> None:
-    status, values = model_status(MonitorSettings())
+    status, values = status_of(MonitorSettings())
     assert status.level == DiagnosticStatus.WARN
     assert status.message.startswith("no rotor inertia for joint1, joint2, joint3, joint4: ")
     assert status.message in values["notes"]
 
 
 def test_stated_rotor_inertia_gives_no_warning() -> None:
-    status, values = model_status(MonitorSettings(armature=("joint1=0.3", "joint2=0", "joint3=0", "joint4=0")))
+    status, values = status_of(MonitorSettings(armature=("joint1=0.3", "joint2=0", "joint3=0", "joint4=0")))
     assert status.level == DiagnosticStatus.OK
     assert "rotor inertia from the setting armature: joint1 0.3, joint2 0" in values["notes"]
 
@@ -55,7 +53,7 @@ def test_kernel_that_disagreed_is_a_warning_and_counted(monkeypatch: pytest.Monk
     ):
         monkeypatch.setattr(ReferenceChannel, "difference", lambda *_, field=field: field)
         monitor.compile()
-        _, status = monitor_statuses(monitor, (), {}, 0.0, DiagnosticStatus())
+        status = model_status(monitor)
         values = {pair.key: pair.value for pair in status.values}
         assert values["core"] == core
         assert values["kernel disagreements"] == count
@@ -70,7 +68,7 @@ def decision(*verdicts: tuple[str, Verdict]) -> Decision:
 def test_first_cause_names_its_contact_point() -> None:
     monitor = Monitor(RobotDynamics(load_robot()), MonitorSettings())
     monitor.first_cause = Cause(1_500_000_000, "elbow", Verdict.VIOLATION, "too fast")
-    _, status = monitor_statuses(monitor, (), {}, 0.0, DiagnosticStatus())
+    status = model_status(monitor)
     values = {pair.key: pair.value for pair in status.values}
     assert values["first cause"] == "VIOLATION at 1.500000 s: elbow: too fast"
 
@@ -88,15 +86,15 @@ def test_each_contact_point_reports_its_own_worst_since_the_last_report() -> Non
         "tool": "UNKNOWN",
         "rim": "VIOLATION",
     }
-    statuses = monitor_statuses(None, worst, {}, 0.0, DiagnosticStatus())
-    assert [status.name for status in statuses[1:]] == ["contact elbow", "contact tool", "contact rim"]
-    assert {status.level for status in statuses[1:]} == {DiagnosticStatus.ERROR}
+    statuses = [contact_status(contact, 0, 0.0) for contact in worst]
+    assert [status.name for status in statuses] == ["contact elbow", "contact tool", "contact rim"]
+    assert {status.level for status in statuses} == {DiagnosticStatus.ERROR}
 
 
 def test_missing_lumped_model_is_a_warning_only_where_it_decides() -> None:
     panda = MonitorSettings(robot=str(share("config", "robots", "panda.urdf")), armature=("menagerie/panda",))
     for model, level in (("auto", DiagnosticStatus.OK), ("lumped", DiagnosticStatus.WARN)):
-        status, values = model_status(panda.model_copy(update={"effective_mass_model": MassModel(model)}))
+        status, values = status_of(panda.model_copy(update={"effective_mass_model": MassModel(model)}))
         assert status.level == level, status.message
         assert values["lumped mass"].startswith(
             "link behind panda_joint1: its centre of mass lies 3.9 mm off the plane"
