@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from scara_effmass.values import NO_VALUES, FloatArray, JointState
-from scara_effmass.wire.cdr import FRAME_AT, NS, Cursor, encode
+from scara_effmass.wire.cdr import FRAME_AT, NS, STAMP_AT, Cursor, encode
 
 MAX_NAMES = 1000
 """Maximum number of names in a JointState; decoding many more would delay the next messages."""
@@ -75,17 +75,9 @@ class JointStateDecoder:
 
         Its arrays are read-only, aligned float64 in native byte order.
         """
-        if len(data) != self._size:
+        if len(data) != self._size or self._fixed_bytes(data) != self._fixed:
             self._learn_layout(data)
-        order, sec, nanosec, prefix, velocity_count, effort_count = self._unpack(data)
-        if (
-            prefix != self._prefix
-            or velocity_count != self._velocity_count
-            or effort_count != self._effort_count
-            or order != self._order
-        ):
-            self._learn_layout(data)
-            order, sec, nanosec, prefix, velocity_count, effort_count = self._unpack(data)
+        sec, nanosec = self._stamp(data, STAMP_AT)
         # One copy holds position and velocity; within the message they are not aligned.
         values = self._numbers(data[self._first : self._last])
         return JointState(
@@ -93,8 +85,13 @@ class JointStateDecoder:
             self._names,
             values[self._positions],
             values[self._velocities],
-            self._numbers(data[self._efforts]) if effort_count else NO_VALUES,
+            self._numbers(data[self._efforts]) if self._has_effort else NO_VALUES,
         )
+
+    def _fixed_bytes(self, data: bytes) -> bytes:
+        """Return byte order, frame, names and lengths."""
+        velocity_length, effort_length = self._lengths
+        return data[:2] + data[self._head] + data[velocity_length] + data[effort_length]
 
     def _numbers(self, data: bytes) -> FloatArray:
         values = np.frombuffer(data, self._dtype)
@@ -107,12 +104,10 @@ class JointStateDecoder:
         self._size = -1
         layout = joint_state_layout(data)
         position, velocity, effort = layout.position, layout.velocity, layout.effort
-        prefix = position.length_at + 4 - FRAME_AT
-        before_velocity = velocity.length_at - position.length_at - 4
-        before_effort = effort.length_at - velocity.length_at - 4
-        message = struct.Struct(f"{layout.byte_order}2s2xiI{prefix}s{before_velocity}xI{before_effort}xI")
-        self._unpack = message.unpack_from
-        self._order, _, _, self._prefix, self._velocity_count, self._effort_count = message.unpack_from(data)
+        self._head = slice(FRAME_AT, position.length_at + 4)
+        self._lengths = [slice(numbers.length_at, numbers.length_at + 4) for numbers in (velocity, effort)]
+        self._fixed, self._has_effort = self._fixed_bytes(data), effort.length > 0
+        self._stamp = struct.Struct(f"{layout.byte_order}iI").unpack_from
         if layout.names != self._names:
             self._names = layout.names
         self._dtype = np.dtype(f"{layout.byte_order}f8")
