@@ -9,14 +9,12 @@ import math
 import threading
 import time
 from functools import partial
-from typing import Literal
 
 from control_msgs.msg import SpeedScalingFactor
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.duration import Duration
 from rclpy.event_handler import QoSLivelinessChangedInfo
 from scara_effmass_msgs.msg import ContactStates
-from std_msgs.msg import Float64
 
 from scara_effmass.cell.speed_scaling import SpeedScaler
 from scara_effmass.codes import Reason
@@ -34,10 +32,6 @@ _STANDBY_FACTOR = -0.0
 """A zero by which the node on standby tells its own messages from those of the other one."""
 
 
-_MESSAGES = {"factor": (SpeedScalingFactor, "factor", 1.0), "percent": (Float64, "data", 100.0)}
-"""Type, field and unit of the messages: of the joint trajectory controller; and the unit that UR's driver reports."""
-
-
 class NodeSettings(NodeParameters):
     """Parameters of `speed_scaling_node`."""
 
@@ -52,11 +46,6 @@ class NodeSettings(NodeParameters):
     rate: float = fixed(50.0, "heartbeat: messages per second, besides those that lower the factor", ge=1.0, le=1000.0)
     standby: bool = fixed(
         default=False, description="send nothing but 0, and only while no other node has sent a factor for `timeout`"
-    )
-    output: Literal["factor", "percent"] = fixed(
-        "factor",
-        "factor (control_msgs/SpeedScalingFactor) or percent (std_msgs/Float64, for a node of your own: no controller, "
-        "nor UR's driver, subscribes to it)",
     )
 
 
@@ -77,11 +66,12 @@ class SpeedScalingNode(LifecycleBase[NodeSettings]):
         self._stops, self._unreported = 0, ""
         """Number of stops, and the reason of one since the last report."""
         self._last_number = self._refused_until_ns = self._lost = 0
-        self._type, self._field, self._unit = _MESSAGES[settings.output]
         qos = topics.Qos(1, latched=True, deadline_s=2.0 / settings.rate)
-        self._publisher = self.create_owned_publisher(self._type, topics.SPEED_SCALING_INPUT, qos)
+        self._publisher = self.create_owned_publisher(SpeedScalingFactor, topics.SPEED_SCALING_INPUT, qos)
         if settings.standby:
-            self.create_owned_subscription(self._type, topics.SPEED_SCALING_INPUT, self._on_factor, topics.Qos(10))
+            self.create_owned_subscription(
+                SpeedScalingFactor, topics.SPEED_SCALING_INPUT, self._on_factor, topics.Qos(10)
+            )
         else:
             self._subscribe_to_contact_states()
         self._diagnostics = Diagnostics(self, self._statuses)
@@ -152,8 +142,8 @@ class SpeedScalingNode(LifecycleBase[NodeSettings]):
                 self._scaler.stop(reason)
                 self._send()
 
-    def _on_factor(self, message: SpeedScalingFactor | Float64) -> None:
-        if math.copysign(1.0, getattr(message, self._field)) != math.copysign(1.0, _STANDBY_FACTOR):
+    def _on_factor(self, message: SpeedScalingFactor) -> None:
+        if math.copysign(1.0, message.factor) != math.copysign(1.0, _STANDBY_FACTOR):
             self._heard_ns = time.monotonic_ns()
 
     def _publish(self) -> None:
@@ -168,12 +158,12 @@ class SpeedScalingNode(LifecycleBase[NodeSettings]):
         silence_ns = time.monotonic_ns() - self._heard_ns
         is_silent = silence_ns > 1e9 * self.settings.timeout
         if is_silent:
-            self._publisher.publish(self._type(**{self._field: _STANDBY_FACTOR}))
+            self._publisher.publish(SpeedScalingFactor(factor=_STANDBY_FACTOR))
         self._note(f"no factor of another node for {silence_ns / 1e9:.1f} s" if is_silent else "")
 
     def _send(self) -> None:
         self._factor = self._scaler.factor(time.monotonic_ns())
-        self._publisher.publish(self._type(**{self._field: self._unit * self._factor}))
+        self._publisher.publish(SpeedScalingFactor(factor=self._factor))
         self._note(self._scaler.reason)
 
     def _note(self, reason: str) -> None:
@@ -189,7 +179,6 @@ class SpeedScalingNode(LifecycleBase[NodeSettings]):
         problem = disobedience or (f"stopped: {reason}" if reason else "")
         if not problem and unreported:
             problem = f"was stopped for a moment: {unreported}"
-        problem = problem or self.incompatible_qos
         if not controllers:
             unheard = f"no controller subscribes to {self._publisher.topic_name}: remap it to that of the controller"
             problem = f"{problem}; {unheard}" if problem else unheard

@@ -18,7 +18,6 @@ from lifecycle_msgs.msg import Transition
 from rcl_interfaces.msg import Log
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from scara_effmass_msgs.msg import ContactState, ContactStates
-from std_msgs.msg import Float64
 
 from scara_effmass.cell.scaled_trajectory import ScaledTrajectory
 from scara_effmass.nodes.qos import qos_profile
@@ -38,25 +37,26 @@ Start = Callable[..., tuple[NodeHarness, NodeHarness, list[float]]]
 def cell(new_harness: Callable[..., NodeHarness], tmp_path: Path) -> Iterator[Start]:
     """Return a function that starts a monitor and the node, and gives both with the factors that a controller gets."""
 
-    def start(*arguments: str, kind: Any = SpeedScalingFactor) -> tuple[NodeHarness, NodeHarness, list[float]]:  # noqa: ANN401
+    def start(*arguments: str) -> tuple[NodeHarness, NodeHarness, list[float]]:
         monitor = new_harness(
             "--ros-args", "-p", "release_time:=0.0", "-p", "timeout:=1.0", "-p", "contact_points:=[tool]"
         )
         node = stack.enter_context(closing(NodeHarness(monitor.domain, tmp_path, "speed_scaling")))
         node.start("--ros-args", "-p", "timeout:=1.0", *arguments, command=(str(NODE),))
         factors: list[float] = []
-        field = "factor" if kind is SpeedScalingFactor else "data"
-        node.node.create_subscription(
-            kind, SPEED_SCALING_INPUT, lambda message: factors.append(getattr(message, field)), CONTROLLER_QOS
-        )
+
+        def on_factor(message: SpeedScalingFactor) -> None:
+            factors.append(message.factor)
+
+        node.node.create_subscription(SpeedScalingFactor, SPEED_SCALING_INPUT, on_factor, CONTROLLER_QOS)
         return monitor, node, factors
 
     with ExitStack() as stack:
         yield start
 
 
-def rises_to_1(monitor: NodeHarness, node: NodeHarness, factors: list[float], full: float = 1.0) -> None:
-    node.spin_until(lambda: factors and factors[-1] == full, repeat=lambda: monitor.send(joint_state()))
+def rises_to_1(monitor: NodeHarness, node: NodeHarness, factors: list[float]) -> None:
+    node.spin_until(lambda: factors and factors[-1] == 1.0, repeat=lambda: monitor.send(joint_state()))
 
 
 def test_two_monitors_hold_the_factor_at_0_until_one_is_left(new_harness: Callable[..., NodeHarness]) -> None:
@@ -138,11 +138,6 @@ def test_deactivated_node_leaves_0(cell: Start) -> None:
     node.spin_until(lambda: factors[-1] == 0.0)
     assert node.change_state(Transition.TRANSITION_ACTIVATE)
     rises_to_1(monitor, node, factors)
-
-
-def test_percent_is_a_float64(cell: Start) -> None:
-    monitor, node, percents = cell(*FAST, "-p", "output:=percent", kind=Float64)
-    rises_to_1(monitor, node, percents, 100.0)
 
 
 def follow(cell: Start) -> tuple[float, list[Answer], dict[int, float]]:
