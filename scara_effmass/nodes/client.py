@@ -15,7 +15,6 @@ from rclpy.exceptions import ParameterException
 from rclpy.executors import Executor
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from typing_extensions import Self
 
@@ -44,8 +43,8 @@ class ClientNode:
     exception that a handler raises in a callback. The node has no services and no log topic.
     """
 
-    def __init__(self, name: str, parameters: Sequence[Parameter] = (), arguments: Sequence[str] = ()) -> None:
-        """Create the node; `parameters` override its defaults. Raises SettingsError for invalid ROS `arguments`."""
+    def __init__(self, name: str, arguments: Sequence[str] = ()) -> None:
+        """Create the node. Raises SettingsError for invalid ROS `arguments`."""
         self.signals: list[int] = []
         self.handlers: dict[int, Any] = {}
         """Handlers of the signals outside the `with`."""
@@ -61,13 +60,7 @@ class ClientNode:
             except RuntimeError as error:
                 raise start_refusal(error) from None
             try:
-                self.node = Node(
-                    name,
-                    context=self.context,
-                    start_parameter_services=False,
-                    enable_rosout=False,
-                    parameter_overrides=list(parameters),
-                )
+                self.node = Node(name, context=self.context, start_parameter_services=False, enable_rosout=False)
             except ParameterException as error:
                 raise SettingsError(f"{name}: {error}") from None
             stack.callback(self.node.destroy_node)

@@ -32,24 +32,17 @@ def impact_text(impact: Impact) -> str:
 
 
 def daq_statuses(
-    acquisition: Acquisition,
-    signal: SignalConditioner,
-    detections: Iterable[tuple[Detector, int]],
-    incompatible_qos: str = "",
+    acquisition: Acquisition, signal: SignalConditioner, detections: Iterable[tuple[Detector, int]]
 ) -> list[DiagnosticStatus]:
-    """Return the statuses of the source and of each channel.
-
-    `detections` are the detector and the number of impacts of each channel; `incompatible_qos` names the
-    subscribers that cannot be connected.
-    """
-    statuses = [_source_status(acquisition, signal, incompatible_qos)]
+    """Return the statuses of the source and of each channel, whose `detections` are detector and number of impacts."""
+    statuses = [_source_status(acquisition, signal)]
     statuses += [_channel_status(channel, *item) for channel, item in zip(signal.channels, detections, strict=True)]
     for entry in statuses:
         entry.hardware_id = acquisition.source.description
     return statuses
 
 
-def _source_status(acquisition: Acquisition, signal: SignalConditioner, unconnected: str) -> DiagnosticStatus:
+def _source_status(acquisition: Acquisition, signal: SignalConditioner) -> DiagnosticStatus:
     source, statistics, jumps = acquisition.source, acquisition.statistics(), signal.clock.restarts
     lost = statistics.samples_lost + statistics.samples_dropped
     level = _LEVELS.get(statistics.state, DiagnosticStatus.ERROR)
@@ -59,7 +52,6 @@ def _source_status(acquisition: Acquisition, signal: SignalConditioner, unconnec
             statistics.reason,
             f"{lost} samples lost" if lost else "",
             f"{jumps} jumps of a clock, and of the stamps with it" if jumps else "",
-            unconnected,
         )
         problem = next(filter(None, problems), "")
     device_values = {
@@ -84,7 +76,6 @@ def _source_status(acquisition: Acquisition, signal: SignalConditioner, unconnec
         "samples dropped, not published in time": statistics.samples_dropped,
         "samples waiting": statistics.samples_waiting,
         "reconnects": statistics.reconnects,
-        "incompatible QoS": unconnected,
     }
     message = statistics.reason or statistics.state.value
     return status("source", message, values, problem=problem, level=None if problem else level)

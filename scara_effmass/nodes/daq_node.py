@@ -196,7 +196,7 @@ class DaqNode(LifecycleBase[NodeSettings]):
         if self._acquisition is None:
             return []
         detections = [(output.detector, output.impacts) for output in self._outputs]
-        return daq_statuses(self._acquisition, self._signal, detections, self.incompatible_qos)
+        return daq_statuses(self._acquisition, self._signal, detections)
 
     def _reset(self) -> str:
         if self._acquisition is None or self._state is not AcquisitionState.RUNNING:

@@ -22,8 +22,8 @@ class Diagnostics:
     def __init__(self, node: AnyNode, statuses: Callable[[], list[DiagnosticStatus]]) -> None:
         """Publish what `statuses` returns, unless it is empty, while `node` is configured.
 
-        The full name of the node precedes the name of each status, which makes it unique. While the node is active, it
-        logs a summary every `status_period`.
+        The first status also names the endpoints that cannot be connected. The full name of the node precedes the name
+        of each status, which makes it unique. While the node is active, it logs a summary every `status_period`.
         """
         self._node = node
         self._statuses = statuses
@@ -38,6 +38,12 @@ class Diagnostics:
     def report(self) -> None:
         """Publish the statuses now."""
         if statuses := self._statuses():
+            first, unconnected = statuses[0], self._node.incompatible_qos
+            first.values.append(KeyValue(key="incompatible QoS", value=unconnected))
+            if unconnected and first.level == DiagnosticStatus.OK:
+                first.level, first.message = DiagnosticStatus.WARN, unconnected
+            elif unconnected:
+                first.message += f"; {unconnected}"
             for entry in statuses:
                 entry.name = f"{self._node.get_fully_qualified_name()}: {entry.name}"
             self._latest = statuses

@@ -78,42 +78,6 @@ def worst_contacts(decision: Decision, changes: Iterable[Decision]) -> tuple[Con
     return tuple(worst.values())
 
 
-def input_status(
-    monitor: Monitor | None,
-    *,
-    publishers: int,
-    unheard: str,
-    received: int,
-    skipped: int,
-    skipped_now: int,
-    incompatible_qos: str,
-    latencies: Latencies,
-    has_conflict: bool = False,
-) -> DiagnosticStatus:
-    """Return the status of the joint states.
-
-    `unheard` is a warning that they have no publisher; `skipped_now` were skipped since the last report.
-    `has_conflict`: two publishers have sent the robot's joints. Without it, one that sends other joints is no problem.
-    """
-    overload = f"overload: {skipped_now} joint states were skipped for newer ones" if skipped_now else ""
-    problem = incompatible_qos or unheard or overload
-    if has_conflict or (publishers > 1 and not (monitor and monitor.ignored)):
-        problem = f"{publishers} publishers of joint states: only one may send the robot's joints"
-    values = {
-        "publishers": publishers,
-        "received": received,
-        "skipped": skipped,
-        "refused": monitor.rejected if monitor else 0,
-        "of other devices": monitor.ignored if monitor else 0,
-        "moved, but not in the model": ", ".join(monitor.unmodelled_joints) if monitor else "",
-        "incompatible QoS": incompatible_qos,
-        **{f"latency {name} [us]": f"{latency_us:.0f}" for name, latency_us in latencies.report().items()},
-        "latency histogram [us]": latencies.histogram,
-        "missed deadlines": latencies.missed,
-    }
-    return status("input", f"{received} joint states", values, problem=problem)
-
-
 def cause_text(cause: Cause) -> str:
     """Return the contact point and its reason."""
     return f"{cause.contact_point}: {cause.reason}".removeprefix(": ")

@@ -26,13 +26,12 @@ from scara_effmass.codes import Reason
 from scara_effmass.errors import DecodeError
 from scara_effmass.iso15066 import limits_for
 from scara_effmass.model.robot import Robot
-from scara_effmass.nodes.diagnostics import Diagnostics, no_publisher
+from scara_effmass.nodes.diagnostics import Diagnostics, no_publisher, status
 from scara_effmass.nodes.lifecycle import RCLError, run, with_info
 from scara_effmass.nodes.monitor_health import (
     Latencies,
     cause_text,
     contact_status,
-    input_status,
     missing_models,
     model_status,
     worst_contacts,
@@ -403,24 +402,40 @@ class MonitorNode(RobotNode[NodeSettings]):
             changes, self._changes = self._changes, []
         decision = self._latest.decision(0) if self._latest else None
         contacts = worst_contacts(decision, changes) if decision else ()
-        joint_states = input_status(
-            self._monitor,
-            publishers=self.count_publishers(self._joint_states.topic_name),
-            unheard=no_publisher(self, topics.JOINT_STATES, "sensor_msgs/msg/JointState"),
-            received=self._received,
-            skipped=self._skipped,
-            skipped_now=self._skipped - self._skipped_before,
-            incompatible_qos=self.incompatible_qos,
-            latencies=self._latencies,
-            has_conflict=any(contact.reason_code is Reason.SECOND_PUBLISHER for contact in contacts),
-        )
-        self._skipped_before = self._skipped
-        statuses = [joint_states, *([model_status(self._monitor)] if self._monitor else [])]
+        has_conflict = any(contact.reason_code is Reason.SECOND_PUBLISHER for contact in contacts)
+        statuses = [self._input_status(has_conflict=has_conflict)]
+        statuses += [model_status(self._monitor)] if self._monitor else []
         input_age = decision.input_age if decision else 0.0
         statuses += [contact_status(one, self._change_counts[one.contact_point], input_age) for one in contacts]
         for entry in statuses:
             entry.hardware_id = (self._monitor.dynamics.robot.name if self._monitor else "") or "no robot"
         return statuses
+
+    def _input_status(self, *, has_conflict: bool) -> DiagnosticStatus:
+        """Return the status of the joint states. `has_conflict`: two publishers have sent the robot's joints.
+
+        Without it, one that sends other joints is no problem.
+        """
+        monitor, latencies = self._monitor, self._latencies
+        problem = no_publisher(self, topics.JOINT_STATES, "sensor_msgs/msg/JointState")
+        skipped, self._skipped_before = self._skipped - self._skipped_before, self._skipped
+        if skipped and not problem:
+            problem = f"overload: {skipped} joint states were skipped for newer ones"
+        publishers = self.count_publishers(self._joint_states.topic_name)
+        if has_conflict or (publishers > 1 and not (monitor and monitor.ignored)):
+            problem = f"{publishers} publishers of joint states: only one may send the robot's joints"
+        values = {
+            "publishers": publishers,
+            "received": self._received,
+            "skipped": self._skipped,
+            "refused": monitor.rejected if monitor else 0,
+            "of other devices": monitor.ignored if monitor else 0,
+            "moved, but not in the model": ", ".join(monitor.unmodelled_joints) if monitor else "",
+            **{f"latency {name} [us]": f"{latency_us:.0f}" for name, latency_us in latencies.report().items()},
+            "latency histogram [us]": latencies.histogram,
+            "missed deadlines": latencies.missed,
+        }
+        return status("input", f"{self._received} joint states", values, problem=problem)
 
     def refuse_robot(self, reason: str) -> None:
         """Give UNKNOWN for `reason`."""

@@ -123,12 +123,16 @@ def replay(options: ReplayOptions, on_progress: OnProgress = lambda *_: None) ->
     """
     with ClientNode("replay", arguments=options.ros_arguments) as client, open_bag(options.bag) as bag:
         player = _Player(options, bag, client, on_progress)
+        report = player.report
         try:
             player.play()
         except KeyboardInterrupt:
-            player.report.interrupted = True
-        player.finish_report()
-        return player.report
+            report.interrupted = True
+        publishers = player.publishers.values()
+        report.sent = {publisher.name: publisher.sent for publisher in publishers}
+        report.unheard = tuple(publisher.name for publisher in publishers if not publisher.had_subscriber)
+        report.warnings = tuple(bag.losses)
+        return report
 
 
 class _Player:
@@ -148,11 +152,11 @@ class _Player:
             self._stop_ns = self._start_ns + round(options.duration_s * _NS)
         self._end_ns = min(self._stop_ns, bag.end_ns)
         self.report = ReplayReport()
-        self._publishers, self.report.skipped = replay_publishers(
+        self.publishers, self.report.skipped = replay_publishers(
             bag, client.node, options.topics, options.joint_state_topic
         )
         self._joint_states = next(
-            (p for p in self._publishers.values() if p.name == in_namespace(client.node, JOINT_STATES)), None
+            (p for p in self.publishers.values() if p.name == in_namespace(client.node, JOINT_STATES)), None
         )
         self._clock = ReplayPublisher(client.node, CLOCK, Clock)  # after all other publishers
         self._readiness = ReadinessReports(client.node)  # after all other subscriptions
@@ -162,14 +166,14 @@ class _Player:
     def play(self) -> None:
         """Wait for the nodes, play all passes, and wait until every subscriber has received everything."""
         self._wait_until_ready()
-        latched = [name for name, publisher in self._publishers.items() if publisher.latched]
+        latched = [name for name, publisher in self.publishers.items() if publisher.latched]
         if latched and self._start_ns > self._bag.start_ns:
             for message in self._bag.messages(latched, stop_ns=self._start_ns):
-                self._publishers[message.topic].send(message.data)
+                self.publishers[message.topic].send(message.data)
         report = self.report
         while not self._options.passes or report.passes < self._options.passes:
             report.passes += 1
-            messages = self._bag.messages(self._publishers.keys(), self._start_ns, self._stop_ns)
+            messages = self._bag.messages(self.publishers.keys(), self._start_ns, self._stop_ns)
             messages = chain(list(islice(messages, 1)), messages)  # opens the files before the time is taken
             self._now_ns = self._start_ns
             pass_start_ns = time.monotonic_ns()
@@ -179,13 +183,6 @@ class _Player:
                 report.wall_s += (time.monotonic_ns() - pass_start_ns) / _NS
                 report.replayed_s += (self._now_ns - self._start_ns) / _NS
         report.unacknowledged = self._wait_acknowledged()
-
-    def finish_report(self) -> None:
-        """Complete the report."""
-        report = self.report
-        report.sent = {publisher.name: publisher.sent for publisher in self._publishers.values()}
-        report.unheard = tuple(p.name for p in self._publishers.values() if not p.had_subscriber)
-        report.warnings = tuple(self._bag.losses)
 
     def _wait_until_ready(self) -> None:
         """Hold the clock at the start until all nodes have been ready for the settling time. Raises EffmassError."""
@@ -204,12 +201,12 @@ class _Player:
 
     def _unready(self) -> str:
         """Return what is not ready yet, empty if nothing."""
-        inputs = [self._joint_states] if self._joint_states else list(self._publishers.values())
+        inputs = [self._joint_states] if self._joint_states else list(self.publishers.values())
         expected, count = self._options.subscribers, max(publisher.subscribers for publisher in inputs)
         if count < expected:
             topics = ", ".join(publisher.name for publisher in inputs)
             return f"{topics}: expected {expected} subscribers, found {count}"
-        unready = self._readiness.unready(self._start_ns, [publisher.name for publisher in self._publishers.values()])
+        unready = self._readiness.unready(self._start_ns, [publisher.name for publisher in self.publishers.values()])
         return "; ".join(f"{name} {reason}" for name, reason in sorted(unready.items()))
 
     def _play_pass(self, messages: Iterator[RawMessage], pass_start_ns: int) -> None:
@@ -225,7 +222,7 @@ class _Player:
                 clock_ns = time_ns
                 self._set_clock(time_ns)
             if message is not None:
-                self._publishers[message.topic].send(message.data)
+                self.publishers[message.topic].send(message.data)
             self._report_progress()
 
     def _set_clock(self, time_ns: int) -> None:
@@ -245,7 +242,7 @@ class _Player:
         """
         self._spin_until(time.monotonic_ns() + SETTLING_NS)
         deadline_ns = time.monotonic_ns() + _ACKNOWLEDGEMENT_NS
-        pending = list(self._publishers.values())
+        pending = list(self.publishers.values())
         while pending and time.monotonic_ns() < deadline_ns:
             self._spin_until(0)
             if pending[0].publisher.wait_for_all_acked(Duration(nanoseconds=_ACKNOWLEDGEMENT_STEP_NS)):

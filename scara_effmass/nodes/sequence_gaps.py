@@ -27,19 +27,12 @@ class SequenceGaps:
         """Return how many messages are missing before the message with this number, None if it has none."""
         if number is None:
             return 0
-        last = self._last
-        if number - 1 in last:
-            last.remove(number - 1)
-            last.append(number)
-            return 0
-        smaller = [value for value in last if value < number]
-        if len(last) < max(self._count_publishers(), 1):  # the first message of another publisher
-            lost = 0
-        elif smaller:
-            last.remove(max(smaller))
-            lost = number - max(smaller) - 1
-        else:
-            del last[0]
-            lost = 0
+        last, lost = self._last, 0
+        closest = max((value for value in last if value < number), default=None)
+        # Otherwise it is the first message of another publisher.
+        if closest == number - 1 or len(last) >= max(self._count_publishers(), 1):
+            before = last[0] if closest is None else closest
+            last.remove(before)
+            lost = max(number - before - 1, 0)
         last.append(number)
         return lost

@@ -24,7 +24,6 @@ def impact_text(impact: ValidatedImpact) -> str:
 def series_status(
     validator: Validator,
     undecodable: Counter[str],
-    incompatible_qos: str,
     *,
     contact_points: Collection[str],
     robot: str,
@@ -33,12 +32,11 @@ def series_status(
     """Return the status of the series.
 
     `contact_points` are those assessed since the last report, not by the watchdog. `undecodable` counts messages by
-    error; `incompatible_qos` names the endpoints that cannot be connected. `unheard` says that an
-    input has no publisher.
+    error. `unheard` says that an input has no publisher.
     """
     result = validator.result()
     selected, fit = next((model.overall, model.fit) for model in result.models if model.model == result.model)
-    problem = result.clock or result.force_sign or incompatible_qos or "; ".join(undecodable) or unheard
+    problem = result.clock or result.force_sign or "; ".join(undecodable) or unheard
     unpaired = sum(result.unpaired.values())
     if not problem and result.held.exceedances:
         worst = result.held.worst
@@ -77,7 +75,6 @@ def series_status(
         "sign of force": result.force_sign,
         "contact states too late": result.late_states,
         "undecodable messages": undecodable.total(),
-        "incompatible QoS": incompatible_qos,
     }
     for group, counts in (("excluded:", result.excluded), ("not paired:", result.unpaired)):
         values |= {f"{group} {name}": count for name, count in sorted(counts.items())}

@@ -2,7 +2,7 @@
 """`validator_node`: compare measured impacts with predictions from the contact states at their onsets."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from collections.abc import Set as AbstractSet
 from functools import partial
 from pathlib import Path
@@ -14,12 +14,12 @@ from scara_effmass_msgs.msg import ContactStates, ForceBlock, Impact, ImpactVali
 from scara_effmass import values
 from scara_effmass.errors import DecodeError, SettingsError
 from scara_effmass.impacts.detector import Detector
-from scara_effmass.impacts.validator import Result, Validator
+from scara_effmass.impacts.validator import Validator
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.diagnostics import Diagnostics, no_publisher, several_publishers
 from scara_effmass.nodes.lifecycle import LifecycleBase, run
 from scara_effmass.nodes.validator_health import impact_text, series_status
-from scara_effmass.settings import DetectionSettings, ValidatorSettings
+from scara_effmass.settings import DetectionSettings, MonitorSettings, ValidatorSettings, checked
 from scara_effmass.settings.loading import fixed
 from scara_effmass.values import Decision, ValidatedImpact
 from scara_effmass.wire import topics
@@ -27,8 +27,6 @@ from scara_effmass.wire.contact_states import decode_contact_states
 from scara_effmass.wire.force import decode_force_block, decode_impact
 from scara_effmass.wire.impact_validation import impact_validation_message
 from scara_effmass.wire.run_info import decode_run_info
-
-WriteReport = Callable[[Result, "NodeSettings", Path], Path]
 
 _NS = 1_000_000_000
 
@@ -50,10 +48,9 @@ class NodeSettings(parameters.NodeParameters, ValidatorSettings):
 class ValidatorNode(LifecycleBase[NodeSettings]):
     """Match `impact` (or impacts detected in `force`) with `contact_states`; publish `impact_validation`."""
 
-    def __init__(self, write_report: WriteReport | None = None) -> None:
-        """Declare the parameters; `write_report` writes the report. Raises SettingsError."""
+    def __init__(self) -> None:
+        """Declare the parameters. Raises SettingsError for an invalid one."""
         super().__init__("validator", NodeSettings)
-        self._write_report = write_report
         self._validator = Validator(self.settings)
 
     def configure(self) -> None:
@@ -77,7 +74,7 @@ class ValidatorNode(LifecycleBase[NodeSettings]):
             )
         self.create_owned_subscription(RunInfo, topics.RUN_INFO, self._on_run_info, topics.INFO_QOS, raw=True)
         self.create_owned_trigger("~/reset", self._reset)
-        self.create_owned_trigger("~/write_report", self._on_write_report)
+        self.create_owned_trigger("~/write_report", self._write_report)
 
     def _on_message(self, decode: Callable[[bytes], Any], take: Callable[[Any], None], data: bytes) -> None:
         """Take a decoded message, or count it."""
@@ -134,7 +131,6 @@ class ValidatorNode(LifecycleBase[NodeSettings]):
             series_status(
                 self._validator,
                 self._undecodable,
-                self.incompatible_qos,
                 unheard=next(filter(None, unheard), ""),
                 contact_points=contact_points,
                 robot=Path(self.settings.robot or "omron_i4_550l").stem,
@@ -146,11 +142,23 @@ class ValidatorNode(LifecycleBase[NodeSettings]):
         self._validator.reset()
         return f"new series started; the previous one had {count} impacts"
 
-    def _on_write_report(self) -> str:
-        if self._write_report is None:
-            raise SettingsError("the node runs without a report writer")
-        folder = Path(self.settings.report_folder or "validation").resolve() / f"{self.now_ns() / _NS:.3f}"
-        return str(self._write_report(self._validator.result(), self.settings, folder))
+    def _write_report(self) -> str:
+        """Write the report of the series; return the path of its page. Raises OutputError, RobotError."""
+        from scara_effmass.analysis import validation_report  # noqa: PLC0415 - draws, only when it is asked for
+        from scara_effmass.analysis.report import PAGE  # noqa: PLC0415
+        from scara_effmass.analysis.validation import Validation, ValidationSettings  # noqa: PLC0415
+        from scara_effmass.model.load import load_robot  # noqa: PLC0415
+
+        settings = self.settings
+        monitor = checked(MonitorSettings, {"robot": settings.robot}, "validator")
+        stated = settings.model_dump(include=set(ValidatorSettings.model_fields))
+        validator = checked(ValidatorSettings, stated, "validator")
+        report_settings = ValidationSettings(monitor=monitor, validator=validator, detection=settings.detection)
+        robot = load_robot(monitor.robot_path, monitor)
+        validation = Validation(self._validator.result(), (), no_motion="the series was live")
+        folder = Path(settings.report_folder or "validation").resolve() / f"{self.now_ns() / _NS:.3f}"
+        validation_report.write_report(validation, report_settings, robot, folder, overwrite=False)
+        return str(folder / PAGE)
 
     def apply_settings(self, changed: AbstractSet[str]) -> None:
         """Use the parameters `changed`: the others must not override later run information."""
@@ -160,6 +168,4 @@ class ValidatorNode(LifecycleBase[NodeSettings]):
             self._validator.runs.set(self.now_ns(), **changes)
 
 
-def main(args: Sequence[str] | None = None, write_report: WriteReport | None = None) -> int:
-    """Run the node with the ROS arguments `args`; default: those of the process."""
-    return run("validator", partial(ValidatorNode, write_report), args)
+main = partial(run, "validator", ValidatorNode)

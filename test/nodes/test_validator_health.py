@@ -32,7 +32,7 @@ IMPACT = Impact(
 
 
 def series(validator: Validator, *contact_points: str) -> DiagnosticStatus:
-    return series_status(validator, Counter(), "", contact_points=contact_points, robot="arm")
+    return series_status(validator, Counter(), contact_points=contact_points, robot="arm")
 
 
 def test_series_without_contact_states_is_not_ok() -> None:
