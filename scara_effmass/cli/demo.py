@@ -120,13 +120,8 @@ def _live_sim(
     start_s = float(round(time.time()))
     duration_s = min(args.duration, FIRST_IMPACT_S + IMPACTS * IMPACT_PERIOD_S)
     cell = ["-p", "sim.scene:=cell", "-p", f"sim.start:={start_s}"]
-    commands = (
-        processes.record_command(args),
-        ["daq", "--source", "sim", *processes.SIM_TIME, *cell],
-        ["validator", *processes.SIM_TIME],
-        processes.monitor_command(args, settings),
-        processes.visualization_command(settings),
-    )
+    commands = processes.commands(args, settings)
+    commands += [["daq", "--source", "sim", *processes.SIM_TIME, *cell], ["validator", *processes.SIM_TIME]]
     sim_command = ["sim", "--start", str(start_s), "--clock", "--ros-args", "-p", "listeners:=3"]
     stamps_ns: set[int] = set()
     console = printer()
@@ -160,11 +155,13 @@ def _live_sim(
             stack.enter_context(processes.ChildProcess(dashboard))
         client = stack.enter_context(CellClient("demo", on_decision=on_decision, on_validation=on_validation))
         show_status = stack.enter_context(live_status(console, visible=not args.json))
-        is_ready = processes.spin_until(
-            lambda: all(client.has_peers(*end) for end in ENDPOINTS), client, children, processes.START_TIMEOUT_S
+        processes.spin_until(
+            lambda: all(client.has_peers(*end) for end in ENDPOINTS),
+            client,
+            children,
+            processes.START_TIMEOUT_S,
+            "nodes",
         )
-        if not is_ready:
-            raise EffmassError(f"nodes: not running after {processes.START_TIMEOUT_S:g} s")
         # The recorder subscribes once it receives the first /clock message, which the simulation publishes.
         children.append(stack.enter_context(processes.ChildProcess(sim_command)))
         processes.spin_until(finished, client, children, processes.START_TIMEOUT_S + MAX_SLOWDOWN * duration_s)
@@ -275,11 +272,10 @@ def _live_bag(args: argparse.Namespace, topics: list[str], force_topic: str, set
 
     Raises EffmassError when a process fails.
     """
-    commands = [processes.monitor_command(args, settings), processes.visualization_command(settings)]
+    commands = processes.commands(args, settings)
     if force_topic:  # plays the force on the clock of the replay and ends with it
         source = ["--source", "bag", "--path", str(args.bag), "--topic", force_topic]
         commands.append(["daq", *source, *processes.SIM_TIME, "-p", "stop_at_end:=true"])
-    commands.append(processes.record_command(args))
     replay_command = ["replay", str(args.bag), "--topic", topics[0], "--topics", *topics, "--rate", str(args.rate)]
     replay_command += ["--duration", str(args.duration), "--wait", str(processes.START_TIMEOUT_S), "--json"]
     replay_command += ["--subscribers", "4"]  # this process, monitor, visualization and recorder
@@ -303,9 +299,8 @@ def _live_bag(args: argparse.Namespace, topics: list[str], force_topic: str, set
     with ExitStack() as stack:
         children = [stack.enter_context(processes.ChildProcess(command)) for command in commands]
         client = stack.enter_context(CellClient("demo", on_decision=on_decision))
-        if not processes.spin_until(lambda: client.connected, client, children, processes.START_TIMEOUT_S):
-            raise EffmassError(f"monitor: not running after {processes.START_TIMEOUT_S:g} s")
-        force = children.pop(2) if force_topic else None
+        processes.spin_until(lambda: client.connected, client, children, processes.START_TIMEOUT_S, "monitor")
+        force = children.pop() if force_topic else None
         replay = stack.enter_context(processes.ChildProcess(replay_command))
         show_status = stack.enter_context(live_status(printer(), visible=not args.json))
         processes.spin_until(lambda: replay.ended, client, children, math.inf)
@@ -318,4 +313,4 @@ def _live_bag(args: argparse.Namespace, topics: list[str], force_topic: str, set
             client.spin(FORCE_END_TIMEOUT_S, lambda: force.ended)
             force.interrupt()
             force.output()
-        return LiveRun(verdicts, watchdog_messages, replayed, children[-1].recording())
+        return LiveRun(verdicts, watchdog_messages, replayed, children[0].recording())

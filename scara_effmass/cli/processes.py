@@ -106,14 +106,15 @@ def _end_with_parent() -> None:
 
 
 def spin_until(
-    done: Callable[[], bool], client: CellClient, processes: Sequence[ChildProcess], timeout_s: float
-) -> bool:
-    """Receive until `done` or the timeout; return whether it is done. Raises EffmassError if a process has ended."""
+    done: Callable[[], bool], client: CellClient, processes: Sequence[ChildProcess], timeout_s: float, name: str = ""
+) -> None:
+    """Receive until `done` or the timeout. Raises EffmassError for an ended process, and if `name` is not running."""
     is_done = client.spin(timeout_s, lambda: done() or any(process.ended for process in processes))
     for process in processes:
         if process.ended:
             process.fail()
-    return is_done
+    if name and not is_done:
+        raise EffmassError(f"{name}: not running after {timeout_s:g} s")
 
 
 @contextmanager
@@ -126,22 +127,16 @@ def removed_on_failure(folder: Path) -> Iterator[None]:
         raise
 
 
-def monitor_command(args: argparse.Namespace, settings: MonitorSettings) -> list[str]:
-    """Return the command that runs the monitor with the settings of the demo."""
+def commands(args: argparse.Namespace, settings: MonitorSettings) -> list[list[str]]:
+    """Return the commands of every demo: the recorder, the monitor, and the markers of the robot for viewers."""
     params = ["--params", str(args.params)] if args.params else []
     chosen = {"robot": str(settings.robot_path), "effective_mass_model": settings.effective_mass_model.value}
-    return ["monitor", *params, *node_arguments(None, selected(args, "cell") | chosen, SIM_TIME)]
-
-
-def visualization_command(settings: MonitorSettings) -> list[str]:
-    """Return the command that publishes markers of the robot, so that a viewer can show the recording in 3-D."""
     names = {key: list(getattr(settings, key)) or None for key in SHAPE}
-    return ["visualization", *node_arguments(None, {"robot": str(settings.robot_path), **names}, SIM_TIME)]
-
-
-def record_command(args: argparse.Namespace) -> list[str]:
-    """Return the command that records the topics of the suite."""
-    return ["record", "-o", str(args.out / RECORDING), "--json", *(["--force"] * args.force), *SIM_TIME]
+    return [
+        ["record", "-o", str(args.out / RECORDING), "--json", *(["--force"] * args.force), *SIM_TIME],
+        ["monitor", *params, *node_arguments(None, selected(args, "cell") | chosen, SIM_TIME)],
+        ["visualization", *node_arguments(None, {"robot": str(settings.robot_path), **names}, SIM_TIME)],
+    ]
 
 
 def recorded_line(recorded: dict[str, Any]) -> str:
