@@ -21,7 +21,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 import scara_effmass
 from scara_effmass.cli.commands import COMMANDS
 from scara_effmass.cli.options import Option
-from scara_effmass.nodes.lifecycle import LifecycleBase
+from scara_effmass.nodes.lifecycle import AnyNode, LifecycleBase
 
 ROOT = Path(__file__).resolve().parents[1]
 VARIANTS = {
@@ -33,7 +33,8 @@ VARIANTS = {
 NAMESPACE = "/cell/"
 FOREVER_S = 1e9
 PARAMETERS = """\
-Generated from the nodes; `ros2 param describe` shows the same. Read-only parameters are set at the start.
+Generated from the nodes; `ros2 param describe` shows the same. Read-only parameters change
+only while the node is unconfigured, `autostart` only at the start.
 Every node also has ROS's own `use_sim_time`, and `qos_overrides.*` for its publishers and subscriptions."""
 TOPICS = """\
 Generated from the nodes. Names without a leading `/` follow the namespace of the node and can be remapped. History is
@@ -43,7 +44,8 @@ Generated from the command line: `scara-effmass COMMAND --help` prints the same.
 has exit codes, tables and files."""
 DIAGNOSTICS = """\
 Generated from the nodes. Each status on `/diagnostics` is named `/NODE: STATUS`; … stands for a name. Every node
-publishes once a second, the monitor also when a verdict changes."""
+publishes once a second, the monitor also when a verdict changes. The first status of a node also has
+`incompatible QoS`."""
 API = "Generated from the docstrings."
 
 
@@ -79,7 +81,7 @@ def _write(title: str, *sections: str) -> None:
     (folder / f"{title.split(maxsplit=1)[0].lower()}.md").write_text(text, encoding="utf-8")
 
 
-def _node_kinds() -> Iterator[type[LifecycleBase]]:
+def _node_kinds() -> Iterator[type[AnyNode]]:
     for path in sorted((ROOT / "scara_effmass/nodes").glob("*_node.py")):
         module = import_module(f"scara_effmass.nodes.{path.stem}")
         kinds = [kind for _, kind in inspect.getmembers(module, inspect.isclass) if kind.__module__ == module.__name__]
@@ -87,7 +89,7 @@ def _node_kinds() -> Iterator[type[LifecycleBase]]:
 
 
 @contextmanager
-def _node(kind: type[LifecycleBase], setting: str) -> Iterator[LifecycleBase]:
+def _node(kind: type[AnyNode], setting: str) -> Iterator[AnyNode]:
     """Yield a node whose parameter `setting` is set."""
     parameters = ["-p", setting] if setting else []
     rclpy.init(args=["--ros-args", "--log-level", "error", "-r", f"__ns:={NAMESPACE[:-1]}", *parameters])
@@ -99,7 +101,8 @@ def _node(kind: type[LifecycleBase], setting: str) -> Iterator[LifecycleBase]:
         rclpy.shutdown()
 
 
-def _parameters(node: LifecycleBase) -> Iterator[str]:
+def _parameters(node: AnyNode) -> Iterator[str]:
+    node.set_read_only(read_only=True)  # as of a configured node
     for name, parameter in node.get_parameters_by_prefix("").items():
         descriptor: ParameterDescriptor = node.describe_parameter(name)
         if not descriptor.description or name.startswith(("qos_overrides.", "use_sim_time", "start_type_")):
@@ -122,7 +125,7 @@ def _text(value: Any) -> str:  # noqa: ANN401 - of any parameter
     return json.dumps(value if isinstance(value, (str, int)) else list(value or ()))
 
 
-def _endpoints(node: LifecycleBase) -> Iterator[str]:
+def _endpoints(node: AnyNode) -> Iterator[str]:
     """Yield an entry for every topic and service of the suite's own."""
     texts = _topic_texts()
     for direction, endpoints in (("published", node.publishers), ("subscribed", node.subscriptions)):
