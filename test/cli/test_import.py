@@ -62,7 +62,7 @@ def test_json_states_what_was_imported(csv: Path, tmp_path: Path, cli: Cli) -> N
     [
         (["--topic", "g"], "cell.csv: topic = g: must be one of t (s), f (N)"),
         (["--unit", "kN"], "cell.csv: f (N): unit = kN: must be empty, the file states N"),
-        (["--unit", "oz"], "options: unit = 'oz': "),
+        (["--unit", "oz"], "invalid choice: 'oz'"),
         (["--sensitivity", "0"], "options: sensor.sensitivity = 0.0: "),
         (["--axis", "w"], "invalid choice: 'w'"),
     ],
