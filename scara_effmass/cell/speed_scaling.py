@@ -121,6 +121,6 @@ def _refusal(decision: Decision) -> str:
         if not (is_known and 0.0 < contact.allowable_speed < math.inf):
             reason = contact.reason or "no speed is allowed"
             return f"{contact.contact_point}: {reason}".removeprefix(": ")
-    if not (decision.allowable_speed > 0.0 and decision.speed_scaling > 0.0):
+    if decision.watchdog or not (decision.allowable_speed > 0.0 and decision.speed_scaling > 0.0):
         return "no speed is allowed"
     return ""

@@ -152,7 +152,7 @@ def decode_contact_states(data: bytes) -> Decision:
     """Return the decision in `data` (CDR of either byte order). Raises DecodeError.
 
     A contact with an invalid verdict or number is UNKNOWN without numbers, and so is a message without contacts, and
-    every contact of a message that is less severe than the message or its `watchdog` says.
+    every contact where the verdict of the message is worse.
     """
     reader = _READERS.get(data[:2])
     if reader is None:
@@ -197,8 +197,8 @@ def _decode(reader: _Reader, data: bytes) -> tuple[Decision, int]:
     if not contacts:
         contacts.append(unknown_contact("", reason or "the monitor has no contact points"))
     worst = max((contact.verdict for contact in contacts), key=severity)
-    if verdict not in _VERDICTS or severity(verdict) > severity(worst) or (watchdog and worst is not Verdict.UNKNOWN):
-        why = f"verdict = {verdict}{' of the watchdog' * watchdog}: must be that of the worst contact, {worst.name}"
+    if verdict not in _VERDICTS or severity(verdict) > severity(worst):
+        why = f"verdict = {verdict}: must be that of the worst contact, {worst.name}"
         contacts = [unknown_contact(contact.contact_point, why) for contact in contacts]
     is_known = all(contact.verdict is not Verdict.UNKNOWN for contact in contacts)
     if not (is_known and 0.0 <= allowable_speed < math.inf and 0.0 <= speed_scaling <= 1.0):

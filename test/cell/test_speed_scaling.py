@@ -165,11 +165,10 @@ def test_state_of_another_time_stops(age_ns: int, reason: str) -> None:
     assert scaler.reason == f"the joint state is {reason}"
 
 
-@pytest.mark.parametrize("field", ["allowable_speed", "speed_scaling"])
-def test_message_that_allows_nothing_stops(field: str) -> None:
+@pytest.mark.parametrize("fields", [{"allowable_speed": 0.0}, {"speed_scaling": 0.0}, {"watchdog": True}])
+def test_message_that_allows_nothing_stops(fields: dict[str, Any]) -> None:
     scaler, now_ns = released()
-    nothing: dict[str, Any] = {field: 0.0}
-    scaler.take(state(0.1, 1.0)._replace(**nothing), now_ns)
+    scaler.take(state(0.1, 1.0)._replace(**fields), now_ns)
     assert scaler.factor(now_ns) == 0.0
     assert scaler.reason == "no speed is allowed"
 

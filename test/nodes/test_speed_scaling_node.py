@@ -30,6 +30,8 @@ from test.nodes.conftest import DEEP_QOS, JOINTS, TIMEOUT_S, Answer, NodeHarness
 NODE = Path(sys.executable).with_name("speed_scaling_node")
 CONTROLLER_QOS = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """That of the joint trajectory controller: a volatile publisher does not match."""
+ALLOWED: dict[str, Any] = {"verdict": ContactState.OK, "allowable_speed": 1.0, "speed_scaling": 1.0}
+"""What the message says of contacts that allow a speed."""
 Start = Callable[..., tuple[NodeHarness, NodeHarness, list[float]]]
 
 
@@ -78,7 +80,7 @@ def test_two_monitors_hold_the_factor_at_0_until_one_is_left(new_harness: Callab
         contact = ContactState(contact_point="tool", verdict=ContactState.OK, allowable_speed=1.0)
         for publisher in publishers:
             numbers[publisher] += 1
-            message = ContactStates(contacts=[contact], sequence_number=numbers[publisher])
+            message = ContactStates(contacts=[contact], sequence_number=numbers[publisher], **ALLOWED)
             message.header.stamp = node.node.get_clock().now().to_msg()
             publisher.publish(message)
 
@@ -225,7 +227,7 @@ def test_status_warns_of_stops_and_of_a_controller_that_does_not_obey_in_few_lin
         number += 1
         verdict = ContactState.UNKNOWN if age else ContactState.OK
         contact = ContactState(contact_point="tool", verdict=verdict, allowable_speed=allowed, speed=speed, reason=age)
-        message = ContactStates(contacts=[contact], sequence_number=number)
+        message = ContactStates(contacts=[contact], sequence_number=number, **ALLOWED)
         message.header.stamp = node.node.get_clock().now().to_msg()
         publisher.publish(message)
 
