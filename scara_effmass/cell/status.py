@@ -104,6 +104,7 @@ class Validation:
 class ImpactRecord:
     """A primary impact with its rebounds, its validation and the force around it, at most 400 samples.
 
+    `left_out` is why the validator leaves it out of the series; empty if it does not.
     `time_s` [s] counts from the onset. `force` [N] is empty until it has arrived completely.
     """
 
@@ -111,6 +112,7 @@ class ImpactRecord:
     at_ns: int
     rebounds: int = 0
     validation: Validation | None = None
+    left_out: str = ""
     time_s: FloatArray = field(default_factory=lambda: np.empty(0))
     force: FloatArray = field(default_factory=lambda: np.empty(0))
 
@@ -123,6 +125,11 @@ class Diagnostic(NamedTuple):
     message: str
     values: Mapping[str, str]
     at_ns: int
+
+
+def left_out_entry(stamp_ns: int) -> str:
+    """Return the entry of the validator's diagnostics that says why it left out the impact with this stamp."""
+    return f"left out: impact at {stamp_ns / 1e9:.6f} s"
 
 
 def _no_verdict(code: Reason, *values: float) -> tuple[Reason, str]:
@@ -262,6 +269,12 @@ class CellStatus:
         for record in self.impacts:
             if record.impact.stamp_ns == validation.stamp_ns:
                 record.validation = validation
+
+    def take_diagnostic(self, entry: Diagnostic) -> None:
+        """Take a diagnostic status, and why a validator left out impacts."""
+        self.diagnostics[entry.name] = entry
+        for record in self.impacts:
+            record.left_out = entry.values.get(left_out_entry(record.impact.stamp_ns), record.left_out)
 
     def take_publisher(self, timeout_ns: int, *, exists: bool) -> None:
         """Take whether contact_states has a publisher, and the time within which it promises a message."""

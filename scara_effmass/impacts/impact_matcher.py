@@ -26,6 +26,7 @@ MAX_CLOCK_RESIDUAL_S = 60.0
 MIN_NORMAL_COMPONENT = 0.1
 """Minimum component of the velocity, or of the sensor's axis, along the normal of the plate."""
 REBOUND = "rebound of an earlier impact"
+DUPLICATE = "duplicate: an impact of this source with this stamp came before"
 PRESS = "press: the force rose slowly, or stayed near its peak"
 MAX_LAGS = 1000
 """Maximum number of lags that are kept, each for force blocks and for impacts."""
@@ -236,12 +237,14 @@ class ImpactMatcher:
         self.clock.clear()
         self.states.late = 0
         self.seen = 0
+        self._known: set[tuple[int, str, str]] = set()
         self.refused: list[RefusedImpact] = []
 
     def begin_recording(self) -> None:
         """Discard everything that depends on the stamps of the previous recording."""
         self.states.clear()
         self.clock.clear()
+        self._known.clear()
         self.runs.restart()
 
     def add_impact(self, impact: Impact, received_ns: int) -> None:
@@ -271,6 +274,11 @@ class ImpactMatcher:
         while self.waiting and (flush or self._ready(*self.waiting[0])):
             impact, received_ns = self.waiting.popleft()
             reason, run = _invalid_reason(impact), self.runs.at(impact.stamp_ns)
+            key = impact.stamp_ns, impact.frame_id, impact.source
+            if impact.stamp_ns > 0 and key in self._known:
+                self.refuse(impact._replace(held_force=0.0), Rejection(DUPLICATE), excluded=True)
+                continue
+            self._known.add(key)
             if reason:
                 state = self._onset_state(impact, received_ns, run.normal) if reason == PRESS else Rejection("")
                 speed = 0.0 if isinstance(state, Rejection) else state.speed

@@ -177,6 +177,11 @@ class Validator:
         self._matcher.add_impact(impact, received_ns)
         return self._validate()
 
+    def pass_time(self, now_ns: int) -> list[ValidatedImpact]:
+        """Let impacts wait for contact states only up to `now_ns`, also if none arrive; return as `add_impact`."""
+        self._matcher.states.last_arrival_ns = max(now_ns, self._matcher.states.last_arrival_ns)
+        return self._validate()
+
     def add_force(self, block: ForceBlock, received_ns: int) -> None:
         """Check the clocks and the sign of the force with a force block."""
         self._matcher.clock.add_block(block, received_ns)

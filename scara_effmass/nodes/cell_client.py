@@ -195,4 +195,4 @@ class CellClient(ClientNode):
             if name and (node.rpartition("/")[0] or "/") == self.node.get_namespace():
                 values = {pair.key: pair.value for pair in status.values}
                 level = int.from_bytes(status.level, "little")
-                self.status.diagnostics[status.name] = Diagnostic(status.name, level, status.message, values, at_ns)
+                self.status.take_diagnostic(Diagnostic(status.name, level, status.message, values, at_ns))

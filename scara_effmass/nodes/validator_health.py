@@ -6,7 +6,9 @@ from collections.abc import Collection
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from scara_effmass.cell.status import MAX_IMPACTS, left_out_entry
 from scara_effmass.impacts.agreement import comparison_text
+from scara_effmass.impacts.impact_matcher import DUPLICATE, REBOUND
 from scara_effmass.impacts.validator import Validator
 from scara_effmass.nodes.diagnostics import status
 from scara_effmass.values import ValidatedImpact
@@ -28,26 +30,32 @@ def series_status(
     contact_points: Collection[str],
     robot: str,
     unheard: str = "",
+    example: str = "",
 ) -> DiagnosticStatus:
     """Return the status of the series.
 
-    `contact_points` are those assessed since the last report, not by the watchdog. `undecodable` counts messages by
-    error. `unheard` says that an input has no publisher.
+    Its message has every problem, the most serious one first. `contact_points` are those assessed since the last
+    report, not by the watchdog. `undecodable` counts messages by type since the last reset, and `example` is the error
+    of the last one. `unheard` says that an input has no publisher, or several.
     """
     result = validator.result()
     selected, fit = next((model.overall, model.fit) for model in result.models if model.model == result.model)
-    problem = result.clock or result.force_sign or "; ".join(undecodable) or unheard
-    unpaired = sum(result.unpaired.values())
-    if not problem and result.held.exceedances:
+    problems = [result.clock, result.force_sign]
+    if result.held.exceedances:
         worst = result.held.worst
-        problem = f"held force above a limit: {worst.force:.1f} N of {worst.limit:.1f} N on {worst.region}"
-    if not problem and unpaired:
-        problem = f"{unpaired} impacts could not be paired: {', '.join(result.unpaired)}"
-    if not problem and result.contact_point not in contact_points:
+        problems.append(f"held force above a limit: {worst.force:.1f} N of {worst.limit:.1f} N on {worst.region}")
+    problems.append(unheard)
+    if unpaired := sum(result.unpaired.values()):
+        problems.append(f"{unpaired} impacts could not be paired: {', '.join(result.unpaired)}")
+    if result.contact_point not in contact_points:
         others = ", ".join(sorted(contact_points))
-        problem = f"no contact states of {result.contact_point}, only of {others}" if others else "no contact states"
-    if not problem and result.waiting:
-        problem = f"{result.waiting} impacts wait for contact states"
+        problems.append(
+            f"no contact states of {result.contact_point}, only of {others}" if others else "no contact states"
+        )
+    if result.waiting:
+        problems.append(f"{result.waiting} impacts wait for contact states")
+    if undecodable:
+        problems.append(f"{undecodable.total()} undecodable messages, the last one: {example}")
     values: dict[str, object] = {
         "model": result.model,
         "contact point": result.contact_point,
@@ -76,7 +84,12 @@ def series_status(
         "contact states too late": result.late_states,
         "undecodable messages": undecodable.total(),
     }
-    for group, counts in (("excluded:", result.excluded), ("not paired:", result.unpaired)):
-        values |= {f"{group} {name}": count for name, count in sorted(counts.items())}
+    groups = {"excluded": result.excluded, "not paired": result.unpaired, "undecodable": undecodable}
+    for group, counts in groups.items():
+        values |= {f"{group}: {name}": count for name, count in sorted(counts.items())}
+    left_out = [impact for impact in result.refused if impact.reason not in {REBOUND, DUPLICATE}][-MAX_IMPACTS:]
+    values |= {
+        left_out_entry(impact.stamp_ns): ": ".join(filter(None, (impact.reason, impact.detail))) for impact in left_out
+    }
     message = f"{len(result.impacts)} impacts, {result.verdict}"
-    return status("series", message, values, problem=problem, hardware_id=robot)
+    return status("series", message, values, problem="; ".join(filter(None, problems)), hardware_id=robot)

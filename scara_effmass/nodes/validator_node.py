@@ -29,6 +29,8 @@ from scara_effmass.wire.impact_validation import impact_validation_message
 from scara_effmass.wire.run_info import decode_run_info
 
 _NS = 1_000_000_000
+_WAIT_PERIOD_S = 0.1
+"""Time between two looks for impacts that have waited too long for contact states."""
 
 
 class NodeSettings(parameters.NodeParameters, ValidatorSettings):
@@ -57,6 +59,7 @@ class ValidatorNode(LifecycleBase[NodeSettings]):
         """Create the endpoints."""
         settings = self.settings
         self._undecodable: Counter[str] = Counter()
+        self._last_error = ""
         self._contact_points: set[str] = set()
         self._validator = Validator(settings)
         self._detector = Detector(settings.detection)
@@ -73,17 +76,19 @@ class ValidatorNode(LifecycleBase[NodeSettings]):
                 kind, topic, partial(self._on_message, decode, take), topics.VALIDATOR_INPUT_QOS, raw=True
             )
         self.create_owned_subscription(RunInfo, topics.RUN_INFO, self._on_run_info, topics.INFO_QOS, raw=True)
+        self.create_steady_timer(_WAIT_PERIOD_S, self._pass_time)
         self.create_owned_trigger("~/reset", self._reset)
         self.create_owned_trigger("~/write_report", self._write_report)
 
     def _on_message(self, decode: Callable[[bytes], Any], take: Callable[[Any], None], data: bytes) -> None:
-        """Take a decoded message, or count it."""
+        """Take a decoded message, or count it by its type, with which the error begins."""
         if not self.active:
             return
         try:
             message = decode(data)
         except DecodeError as error:
-            self._undecodable[str(error)] += 1
+            self._last_error = str(error)
+            self._undecodable[self._last_error.partition(":")[0]] += 1
         else:
             take(message)
 
@@ -91,6 +96,10 @@ class ValidatorNode(LifecycleBase[NodeSettings]):
         if not decision.watchdog:
             self._contact_points.update(contact.contact_point for contact in decision.contacts)
         self._publish(self._validator.add_decision(decision, self.now_ns()))
+
+    def _pass_time(self) -> None:
+        if self.active:
+            self._publish(self._validator.pass_time(self.now_ns()))
 
     def _on_impact(self, impact: values.Impact) -> None:
         self._publish(self._validator.add_impact(impact, self.now_ns()))
@@ -131,7 +140,8 @@ class ValidatorNode(LifecycleBase[NodeSettings]):
             series_status(
                 self._validator,
                 self._undecodable,
-                unheard=next(filter(None, unheard), ""),
+                unheard="; ".join(filter(None, unheard)),
+                example=self._last_error,
                 contact_points=contact_points,
                 robot=Path(self.settings.robot or "omron_i4_550l").stem,
             )
@@ -140,6 +150,7 @@ class ValidatorNode(LifecycleBase[NodeSettings]):
     def _reset(self) -> str:
         count = len(self._validator.result().impacts)
         self._validator.reset()
+        self._undecodable.clear()
         return f"new series started; the previous one had {count} impacts"
 
     def _write_report(self) -> str:

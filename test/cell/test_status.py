@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scara_effmass.cell.status import BIN_NS, HISTORY_NS, CellStatus, Diagnostic, LoadSample, Validation
+from scara_effmass.cell.status import BIN_NS, HISTORY_NS, CellStatus, Diagnostic, LoadSample, Validation, left_out_entry
 from scara_effmass.safety import unknown_contact
 from scara_effmass.values import (
     ContactAssessment,
@@ -63,6 +63,15 @@ def test_load_text_is_that_of_the_last_estimate_or_of_the_monitor() -> None:
     assert status.load_text(S) == "unknown: effort_uncertainty is 0"
     status.loads.append(LoadSample(S, 0.5, 0.4, 0.6, 0.25, is_observable=True, text="0.50 kg (0.40 to 0.60)"))
     assert status.load_text(3 * S) == "0.50 kg (0.40 to 0.60); 2 s ago"
+
+
+def test_impact_keeps_why_the_validator_left_it_out() -> None:
+    status = CellStatus(0)
+    for stamp_ns in (10 * S, 11 * S):
+        status.take_impact(impact(stamp_ns), S)
+    for values in ({left_out_entry(10 * S): "no contact state"}, {}):  # the second one after a reset
+        status.take_diagnostic(Diagnostic("/validator: series", 1, "", values, S))
+    assert [record.left_out for record in status.impacts] == ["no contact state", ""]
 
 
 def test_empty_panels_say_why() -> None:

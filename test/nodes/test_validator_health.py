@@ -7,6 +7,7 @@ from collections import Counter
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from scara_effmass.cell.status import left_out_entry
 from scara_effmass.impacts.validator import Validator
 from scara_effmass.nodes.validator_health import series_status
 from scara_effmass.settings import ValidatorSettings
@@ -31,8 +32,9 @@ IMPACT = Impact(
 )
 
 
-def series(validator: Validator, *contact_points: str) -> DiagnosticStatus:
-    return series_status(validator, Counter(), contact_points=contact_points, robot="arm")
+def series(validator: Validator, *contact_points: str, undecodable: int = 0, unheard: str = "") -> DiagnosticStatus:
+    errors, texts = Counter({"Impact": undecodable} if undecodable else {}), {"unheard": unheard, "example": "bad"}
+    return series_status(validator, errors, contact_points=contact_points, robot="arm", **texts)
 
 
 def test_series_without_contact_states_is_not_ok() -> None:
@@ -53,3 +55,27 @@ def test_series_with_waiting_impacts_is_not_ok() -> None:
     validator.add_impact(IMPACT, NOW)
     waiting = series(validator, "tool")
     assert (waiting.level, waiting.message) == (DiagnosticStatus.WARN, "1 impacts wait for contact states")
+
+
+def test_no_problem_hides_another_and_the_most_serious_one_comes_first() -> None:
+    validator = Validator(ValidatorSettings(contact_point="tool"))
+    validator.add_impact(IMPACT._replace(rebound=1, held_force=500.0), NOW)
+    validator.add_impact(IMPACT, NOW)
+    found = series(validator, undecodable=5000, unheard="2 publishers of /impact: must be one")
+    kinds = ("held force above a limit: 500.0 N of ", "2 publishers of /impact", "no contact states", "1 impacts wait")
+    assert found.message.startswith(kinds[0])
+    places = [found.message.index(kind) for kind in (*kinds, "5000 undecodable messages, the last one: bad")]
+    assert places == sorted(places)
+    assert {pair.key: pair.value for pair in found.values}["undecodable: Impact"] == "5000"
+
+
+def test_each_impact_that_is_left_out_is_named_with_its_reason() -> None:
+    validator = Validator(ValidatorSettings(contact_point="tool"))
+    for number, change in enumerate(({"clipped": True}, {"rebound": 1}, {})):
+        validator.add_impact(IMPACT._replace(stamp_ns=NOW + number, **change), NOW)
+    validator.pass_time(NOW + 10**9)
+    left_out = {pair.key: pair.value for pair in series(validator, "tool").values if pair.key.startswith("left out")}
+    assert left_out == {
+        left_out_entry(NOW): "clipped: the force reached the end of the measuring range",
+        left_out_entry(NOW + 2): "no contact state",
+    }

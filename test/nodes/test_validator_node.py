@@ -218,6 +218,24 @@ def test_reset_begins_a_new_series(node: ValidatorHarness) -> None:
     node.harness.diagnostic("validator: series", "impacts seen", lambda value: value == "0")
 
 
+def test_undecodable_messages_are_counted_by_type_until_a_reset(node: ValidatorHarness) -> None:
+    for number in range(1, 4):
+        node.impacts.publish(impact_message(impact(0, 1e300 * number)))
+    report = node.harness.diagnostic("validator: series", "undecodable: Impact", "3".__eq__)
+    assert report.count("peak_force") == 1
+    assert node.harness.call_service(Trigger, "reset", Trigger.Request()).success
+    assert "peak_force" not in node.harness.diagnostic("validator: series", "undecodable messages", "0".__eq__)
+
+
+def test_impact_without_a_monitor_is_decided_after_its_wait(new_harness: Callable[..., NodeHarness]) -> None:
+    harness = new_harness(name="validator")
+    harness.start("--ros-args", command=[str(EXECUTABLE)])
+    node = ValidatorHarness(harness)
+    node.impacts.publish(impact_message(impact(0, 300.0)))
+    report = harness.diagnostic("validator: series", "not paired: no contact state", "1".__eq__)
+    assert "1 impacts could not be paired: no contact state; no contact states" in report
+
+
 @pytest.mark.parametrize(
     ("argument", "line"),
     [
@@ -247,7 +265,7 @@ def test_second_monitor_is_a_warning(node: ValidatorHarness) -> None:
     other = node.harness.node.create_publisher(ContactStates, "contact_states", DEEP)
     node.harness.spin_until(
         lambda: any(
-            status.message == "2 publishers of /contact_states: must be one"
+            status.message.startswith("2 publishers of /contact_states: must be one")
             for array in node.harness.diagnostics
             for status in array.status
         )

@@ -201,17 +201,45 @@ def test_impact_waits_for_the_states_of_50_ms_after_it(make_state: MakeState, ma
     assert validator.result().waiting == 0
 
 
+@pytest.mark.parametrize("is_silent", [False, True])
 def test_without_an_end_an_impact_waits_no_longer_than_the_clock_tolerance(
-    make_state: MakeState, make_impact: MakeImpact
+    make_state: MakeState, make_impact: MakeImpact, *, is_silent: bool
 ) -> None:
-    """When joint states stop, the monitor repeats its last stamp, which must not be ignored."""
+    """When joint states stop, the monitor repeats its last stamp; when the monitor ends, time passes alone."""
     validator = Validator(ValidatorSettings(obstacle_mass=2.0))
+
+    def go_on(at_ns: int) -> None:
+        validator.pass_time(at_ns) if is_silent else validator.add_decision(make_state(START), at_ns)
+
     validator.add_decision(make_state(START), START)
     validator.add_impact(make_impact(START + 25 * MS), START + 100 * MS)
-    validator.add_decision(make_state(START), START + 600 * MS)
+    go_on(START + 600 * MS)
     assert validator.result().waiting == 1
-    validator.add_decision(make_state(START), START + 601 * MS)
+    go_on(START + 601 * MS)
     assert validator.result().unpaired == {"no contact state within 50 ms after the onset": 1}
+
+
+def test_impact_that_is_sent_twice_is_one_measurement(campaign: Cell) -> None:
+    settings = ValidatorSettings(history=60.0)
+    impacts = [(impact._replace(held_force=50.0), at_ns) for impact, at_ns in campaign.impacts]
+    once, result = run(campaign._replace(impacts=impacts), settings)
+    twice, same_result = run(campaign._replace(impacts=[item for item in impacts for _ in range(2)]), settings)
+    assert twice == once
+    assert same_result.excluded == {"duplicate: an impact of this source with this stamp came before": 12}
+    assert same_result.held == result.held
+    assert (same_result.accepted, balanced(same_result)) == (True, True)
+    others = [item for impact, at_ns in impacts for item in ((impact, at_ns), (impact._replace(source="b"), at_ns))]
+    assert len(run(campaign._replace(impacts=others), settings)[0]) == 24
+
+
+def test_same_stamp_in_a_new_recording_is_no_duplicate(campaign: Cell) -> None:
+    validator = Validator(ValidatorSettings(obstacle_mass=2.0, history=60.0))
+    for _ in range(2):
+        for state in campaign.states[:200]:
+            validator.add_decision(*state)
+        validator.add_impact(*campaign.impacts[0])
+        validator.begin_recording()
+    assert len(validator.result().impacts) == 2
 
 
 def test_spoilt_impacts_are_counted_each_under_its_reason(campaign: Cell) -> None:
