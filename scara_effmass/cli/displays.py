@@ -31,11 +31,13 @@ from scara_effmass.values import Verdict, at_least, at_most, severity
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from scara_effmass.cell.status import CellStatus
+    from scara_effmass.cell.status import CellStatus, ImpactRecord
 
 _NICENESS = 10
 """The nodes on this machine have priority over the dashboard."""
 PERIOD_S = 0.1
+MIN_ROWS = 10
+"""Rows of a terminal for the large letters."""
 _CHARACTERS = "OKWARNVILTU0123456789.-"
 _FONT = (
     ".##. #..# #...# .##. ###. #..# #...# # #.. ### #..# ### .#. ### ### #.# ### ### ### ### ### . ...",
@@ -100,25 +102,34 @@ def _foxglove(args: argparse.Namespace) -> int:
 def _watch(args: argparse.Namespace) -> int:
     """Show the cell until a signal ends it. Raises SettingsError without a terminal, or for invalid ROS arguments."""
     console = Console(highlight=False, markup=False)
-    if not sys.stdout.isatty():
-        raise SettingsError("watch: stdout must be a terminal; the log of the monitor has each change of its verdict")
+    if not sys.stdout.isatty() or console.is_dumb_terminal:
+        problem = (
+            f"TERM = {os.environ.get('TERM')}: must move the cursor"
+            if sys.stdout.isatty()
+            else "stdout must be a terminal"
+        )
+        raise SettingsError(f"watch: {problem}; the log of the monitor has each change of its verdict")
     from scara_effmass.nodes.cell_client import CellClient  # noqa: PLC0415 - rclpy
 
     with CellClient("watch", args.ros_arguments) as client:
-        name = client.node.get_namespace()
+        name, block = client.node.get_namespace(), "#" if console.options.ascii_only else "█"
         with Live(console=console, screen=True, auto_refresh=False) as live:
             while not client.signals:
                 status = client.poll()
-                live.update(screen(status, time.monotonic_ns(), name, console.width, console.height), refresh=True)
+                size = console.width, console.height
+                live.update(screen(status, time.monotonic_ns(), name, *size, block), refresh=True)
                 time.sleep(PERIOD_S)
     return 0
 
 
-def screen(status: CellStatus, now_ns: int, name: str, width: int, height: int) -> RenderableType:
-    """Return the screen of `status` for a terminal of `width` columns and `height` rows."""
+def screen(status: CellStatus, now_ns: int, name: str, width: int, height: int, block: str = "█") -> RenderableType:
+    """Return the screen of `status` for a terminal of `width` columns and `height` rows.
+
+    Its large letters consist of `block`; where they do not fit, the verdict comes first.
+    """
     verdict, style = status.verdict, VERDICT_STYLES[status.verdict]
     is_unknown = verdict is Verdict.UNKNOWN
-    rows = max((height - 10) // 2, 5)
+    rows = max((height - 10) // 2, 5) if height >= MIN_ROWS else 0
     seconds = (now_ns - status.verdict_since_ns) / 1e9
     point = f" at {status.contact_point}" * bool(status.contact_point and verdict is not Verdict.OK)
     simulated = f"SIMULATED: {', '.join(status.simulated)}" * bool(status.simulated)
@@ -129,13 +140,12 @@ def screen(status: CellStatus, now_ns: int, name: str, width: int, height: int) 
     header.add_column(justify="right")
     header.add_row(Text(f"scara-effmass watch {name}"), Text(simulated, "bold reverse"), time.strftime("%H:%M:%S"))
     fill = "? " * (width // 2) if is_unknown else ""
-    banner = Group(
-        Text(fill, no_wrap=True),
-        Align.center(Text(_big(verdict.name, width, rows))),
-        Text(f"{verdict.name}{point} for {seconds:.0f} s", justify="center"),
-        Text(fill, no_wrap=True),
-    )
+    word = Text(f"{verdict.name}{point} for {seconds:.0f} s", justify="center")
+    hatching = Text(fill, no_wrap=True)
+    banner = Group(hatching, Align.center(Text(_big(verdict.name, width, rows, block))), word, hatching)
     parts: list[RenderableType] = [header, Padding(banner, 0, style=style)]
+    if not rows:
+        parts = [Padding(word, 0, style=style), header]
     worst = status.decision.worst if status.decision is not None else None
     figures = Table.grid(expand=True)
     for _ in range(2):
@@ -146,7 +156,7 @@ def screen(status: CellStatus, now_ns: int, name: str, width: int, height: int) 
         else (_figure(worst.speed, at_least), _figure(worst.allowable_speed, at_most))
     )
     figures.add_row(Text("speed [m/s]"), Text("allowable speed [m/s]"), style="bold")
-    figures.add_row(*(Align.center(Text(_big(text, width // 2, rows))) for text in pair))
+    figures.add_row(*(Align.center(Text(_big(text, width // 2, rows, block))) for text in pair))
     parts.append(figures)
     if status.reason:
         parts.append(Text(status.reason, style="bold"))
@@ -163,15 +173,19 @@ def screen(status: CellStatus, now_ns: int, name: str, width: int, height: int) 
         cause = f"{past.contact_point}: {past.cause}".removeprefix(": ")
         parts.append(Text(f"before: {past.verdict.name} until {ago_s:.0f} s ago, for {lasted_s:.2f} s: {cause}"))
     if status.impacts:
-        impact = status.impacts[-1]
-        validation = impact.validation
-        held = f", held {impact.impact.held_force:.1f} N" if impact.impact.held_force else ""
-        text = f"last impact: peak {impact.impact.peak_force:.1f} N{held}, {(now_ns - impact.at_ns) / 1e9:.0f} s ago"
-        if validation is not None:
-            text += f", predicted {validation.predicted_force:.1f} N; {comparison_text(validation)}"
-        parts.append(Text(text))
+        parts.append(Text(_impact_text(status.impacts[-1], now_ns)))
     parts.append(_points(status))
     return Group(*parts)
+
+
+def _impact_text(record: ImpactRecord, now_ns: int) -> str:
+    """Return peak, age and prediction of an impact, or why it has none."""
+    impact, validation = record.impact, record.validation
+    held = f", held {impact.held_force:.1f} N" if impact.held_force else ""
+    text = f"last impact: peak {impact.peak_force:.1f} N{held}, {(now_ns - record.at_ns) / 1e9:.0f} s ago"
+    if validation is not None:
+        return f"{text}, predicted {validation.predicted_force:.1f} N; {comparison_text(validation)}"
+    return f"{text}, not predicted: {record.left_out}" if record.left_out else text
 
 
 def _points(status: CellStatus) -> Table:
@@ -195,11 +209,15 @@ def _figure(speed: float, rounded: Callable[[float, int], str]) -> str:
     return next((text for digits in (3, 2, 1) if len(text := rounded(speed, digits)) <= 5), rounded(speed, 0))
 
 
-def _big(text: str, width: int, height: int) -> str:
-    """Return `text` in letters of blocks, as large as fits into `width` columns and `height` rows."""
+def _big(text: str, width: int, height: int, block: str) -> str:
+    """Return `text` in letters of `block`, as large as fits into `width` columns and `height` rows.
+
+    Where not even the smallest ones fit, it is returned as it is.
+    """
     glyphs = [[row.split()[_CHARACTERS.index(character)] for row in _FONT] for character in text]
     columns = sum(len(glyph[0]) for glyph in glyphs) + len(glyphs) - 1
-    scale = max(1, min(width // columns, 2 * (height // 5)))
+    if not (scale := min(width // columns, 2 * (height // 5))):
+        return text
     lines = (".".join(glyph[row] for glyph in glyphs) for row in range(5))
-    blocks = ("".join((" " if pixel == "." else "█") * scale for pixel in line) for line in lines)
+    blocks = ("".join((" " if pixel == "." else block) * scale for pixel in line) for line in lines)
     return "\n".join("\n".join([line] * ((scale + 1) // 2)) for line in blocks)

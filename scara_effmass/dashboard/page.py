@@ -15,7 +15,7 @@ from typing import Any
 
 from nicegui import ui
 
-from scara_effmass.cell.status import HISTORY_NS, CellStatus, Validation
+from scara_effmass.cell.status import HISTORY_NS, CellStatus, ImpactRecord, Validation
 from scara_effmass.dashboard.scene import RobotScene
 from scara_effmass.nodes.cell_client import CellClient
 from scara_effmass.reference import RobotDynamics
@@ -162,7 +162,7 @@ class Page:
                 f"{record.impact.peak_force:.1f} N"
                 + " at least" * (record.impact.clipped or record.impact.incomplete)
                 + f", held {record.impact.held_force:.1f} N" * (record.impact.held_force > 0.0),
-                f"{record.validation.predicted_force:.1f} N" if record.validation else "none yet",
+                prediction_text(record),
                 f"{record.validation.relative_error:+.1%}" if record.validation else "",
                 _region_text(record.validation) if record.validation else "",
             ]
@@ -290,6 +290,13 @@ def _contact_rows(status: CellStatus) -> tuple[list[str], list[list[str]], str]:
     contacts = status.contacts if status.verdict is not Verdict.UNKNOWN else ()
     rows = [[text(contact) for text in columns.values()] for contact in contacts]
     return [*columns], rows, "no numbers while the verdict is UNKNOWN"
+
+
+def prediction_text(record: ImpactRecord) -> str:
+    """Return the predicted force, or why there is none."""
+    if record.validation:
+        return f"{record.validation.predicted_force:.1f} N"
+    return f"none: {record.left_out}" if record.left_out else "none yet"
 
 
 def _region_text(validation: Validation) -> str:

@@ -4,6 +4,7 @@
 import asyncio
 import hmac
 import ipaddress
+import logging
 import re
 import socket
 from collections.abc import Callable
@@ -172,6 +173,19 @@ def bound_socket(host: str, port: int) -> socket.socket:
         raise SettingsError(f"dashboard: {host}:{port}: must be a free address of this machine: {error}") from None
 
 
+def _escape(record: logging.LogRecord) -> bool:
+    text = record.getMessage().rstrip()
+    record.msg = "".join(character if character.isprintable() else ascii(character)[1:-1] for character in text)
+    record.args = None
+    return True
+
+
+def escape_logs() -> None:
+    """Escape the log lines of the server, which can quote a request: a terminal obeys control characters."""
+    for name in ("nicegui", "uvicorn.error"):
+        logging.getLogger(name).addFilter(_escape)
+
+
 def serve(
     client: CellClient,
     dynamics: RobotDynamics,
@@ -181,6 +195,7 @@ def serve(
     on_start: Callable[[], None],
 ) -> None:
     """Serve the page of the cell until a signal ends the process; call `on_start` once it answers."""
+    escape_logs()
     page_app.timer(_POLL_S, client.poll)
     page_app.on_startup(on_start)
     ui.page("/", title="scara_effmass", favicon="🦾")(lambda: Page(client, dynamics, settings))

@@ -48,10 +48,10 @@ def status(verdict: Verdict, reason: str = "", speed: float = 0.325, code: Reaso
     return status
 
 
-def lines(status: CellStatus, now_ns: int, width: int = 80, height: int = 24) -> list[str]:
+def lines(status: CellStatus, now_ns: int, width: int = 80, height: int = 24, block: str = "█") -> list[str]:
     with Path(os.devnull).open("w", encoding="utf-8") as sink:
         console = Console(record=True, file=sink, width=width, height=height, color_system=None)
-        console.print(screen(status, now_ns, "/cell", width, height))
+        console.print(screen(status, now_ns, "/cell", width, height, block))
         return console.export_text().splitlines()
 
 
@@ -66,6 +66,19 @@ def test_screen_fits_and_has_word_and_figures_in_blocks(verdict: Verdict, width:
     word = [line.strip() for line in shown].index(text)
     assert sum("█" in line for line in shown[:word]) >= BLOCKS
     assert sum("█" in line for line in shown[word:]) >= (2 if verdict is Verdict.UNKNOWN else BLOCKS)
+
+
+@pytest.mark.parametrize("verdict", list(Verdict))
+def test_small_terminal_shows_the_verdict_first(verdict: Verdict) -> None:
+    shown = lines(status(verdict, "because"), 4 * S, 10, 3)
+    assert shown[0].split()[0] == verdict.name
+    assert "█" not in " ".join(shown)
+
+
+def test_letters_of_an_ascii_terminal_are_ascii() -> None:
+    shown = "\n".join(lines(status(Verdict.OK), 4 * S, block="#"))
+    assert shown.isascii()
+    assert shown.count("#") > 100
 
 
 def test_unknown_shares_no_line_with_ok_and_shows_no_number() -> None:
@@ -118,6 +131,8 @@ def test_screen_shows_impact_past_episode_and_simulation() -> None:
         decision_on(*(contact._replace(verdict=Verdict.OK) for contact in cell.decision.contacts)), 4 * S
     )
     cell.take_impact(Impact(S, "cell", 123.4, *(2e-3, 0.3, 0.0, False, False, 0, 0.0, 0.1, 1e-4, "t", True)), 4 * S)
+    cell.impacts[-1].left_out = "no contact state"
+    assert "123.4 N, 2 s ago, not predicted: no contact state" in " ".join(lines(cell, 6 * S, 120, 40))
     text = " ".join(lines(cell, 6 * S, 120, 40))
     assert "before: VIOLATION until 2 s ago, for 1.00 s: tool: 0.4 m/s is above" in text
     assert "last impact: peak 123.4 N, 2 s ago" in text
@@ -156,10 +171,10 @@ def test_watch_refuses_a_pipe(refused: Callable[..., str]) -> None:
 class Screen:
     """`scara-effmass watch` in a pseudo-terminal of 100 x 30."""
 
-    def __init__(self, domain: int) -> None:
+    def __init__(self, domain: int, terminal_type: str = "xterm-256color") -> None:
         self._reader, terminal = pty.openpty()
         fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 30, 100, 0, 0))
-        environment = {**os.environ, "ROS_DOMAIN_ID": str(domain), "TERM": "xterm-256color", "COLUMNS": "", "LINES": ""}
+        environment = {**os.environ, "ROS_DOMAIN_ID": str(domain), "TERM": terminal_type, "COLUMNS": "", "LINES": ""}
         command = [sys.executable, "-m", "scara_effmass", "watch"]
         self.process = subprocess.Popen(
             command, stdin=terminal, stdout=terminal, stderr=terminal, env=environment, start_new_session=True
@@ -189,6 +204,13 @@ def harness(
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     with reserve_domain() as domain, closing(NodeHarness(domain, tmp_path)) as harness:
         yield harness
+
+
+@pytest.mark.live
+def test_watch_refuses_a_terminal_that_cannot_move_its_cursor() -> None:
+    with closing(Screen(0, "dumb")) as terminal:
+        assert terminal.process.wait(60) == 2
+        assert terminal.read().startswith("watch: TERM = dumb: must move the cursor; the log of the monitor has")
 
 
 @pytest.mark.live

@@ -3,6 +3,7 @@
 
 import asyncio
 import csv
+import logging
 from contextlib import suppress
 from types import SimpleNamespace
 from typing import Any
@@ -14,9 +15,9 @@ from starlette.applications import Starlette
 from starlette.responses import PlainTextResponse
 from starlette.routing import Route
 
-from scara_effmass.cell.status import CellStatus, LoadSample
-from scara_effmass.dashboard.page import csv_of, load_lines
-from scara_effmass.dashboard.server import BoundedConnection, Guard, bound_socket, is_local
+from scara_effmass.cell.status import CellStatus, ImpactRecord, LoadSample
+from scara_effmass.dashboard.page import csv_of, load_lines, prediction_text
+from scara_effmass.dashboard.server import BoundedConnection, Guard, bound_socket, escape_logs, is_local
 from scara_effmass.errors import SettingsError
 from scara_effmass.safety import unknown_contact
 from scara_effmass.values import Verdict
@@ -175,6 +176,23 @@ def test_spreadsheets_evaluate_no_text_of_a_message() -> None:
     client: Any = SimpleNamespace(status=status, wall_ns=lambda at_ns: at_ns)
     _, row = csv.reader(csv_of(client).splitlines())
     assert (row[0], row[4], row[5]) == ("UNKNOWN", "'=A1", "'+A2")
+
+
+@pytest.mark.parametrize("name", ["nicegui", "uvicorn.error"])
+def test_no_control_character_of_a_request_reaches_the_terminal(name: str) -> None:
+    escape_logs()
+    url = "http://localhost/\x1b]0;title\x07\nüber"
+    record = logging.LogRecord(name, logging.WARNING, "", 0, "%s not found", (url,), None)
+    assert logging.getLogger(name).filter(record)
+    assert record.getMessage() == r"http://localhost/\x1b]0;title\x07\nüber not found"
+
+
+@pytest.mark.parametrize(
+    ("left_out", "text"), [("", "none yet"), ("obstacle_mass is not given", "none: obstacle_mass is not given")]
+)
+def test_impact_without_a_prediction_says_why(left_out: str, text: str) -> None:
+    impact: Any = None
+    assert prediction_text(ImpactRecord(impact, 0, left_out=left_out)) == text
 
 
 def test_load_that_is_not_observable_is_a_gap() -> None:
