@@ -121,6 +121,7 @@ def assess_bag(
                 for point, builder in enumerate(series):
                     builder.add(states, point)
             written.result()
+        summary.end(bag.end_ns)
         counts = {"joint_states": count + monitor.ignored, "foreign": monitor.ignored, "refused": monitor.rejected}
         notes = [*skew.lines(settings, task.time)]
         if monitor.load_watch.estimate is not None:

@@ -125,7 +125,8 @@ class Summary:
     """Count cycles in bounded memory. The verdict of a cycle is that of its worst contact point.
 
     A verdict lasts until the next joint state, at most for `timeout_ns`; the rest of a longer gap is UNKNOWN. `last` is
-    the time and verdict of the last cycle. In `reasons` "…" stands for each number; `codes` and `numbers` hold the code
+    the time and verdict of the last cycle; `silence_ns` is the longest time from it to the end of a recording, 0 up to
+    the timeout. In `reasons` "…" stands for each number; `codes` and `numbers` hold the code
     of each reason and the ranges of its numbers. `deciding` counts the cycles that are not UNKNOWN by that contact.
     """
 
@@ -141,6 +142,7 @@ class Summary:
     gaps: int = 0
     max_gap_ns: int = 0
     gaps_ns: int = 0
+    silence_ns: int = 0
     tightest: TightestMargin | None = None
 
     def add(self, states: AssessedStates, source: str = "") -> None:
@@ -161,6 +163,11 @@ class Summary:
             self.mass_models += mass_model_counts(contacts[:, point], states.assessments.labels, decides & ~unknown)
             self.deciding[states.assessments.points[point]] += int((decides & ~unknown).sum())
         self._pass_time(states.log_time_ns, shown)
+
+    def end(self, end_ns: int) -> None:
+        """Note how long the recording, which ends at `end_ns`, goes on after its last cycle."""
+        silence_ns = end_ns - self.last[0] if self.last is not None else 0
+        self.silence_ns = silence_ns if silence_ns > self.timeout_ns else 0
 
     def _find_tightest(self, states: AssessedStates, source: str) -> None:
         contacts = states.assessments.contacts
@@ -208,6 +215,7 @@ class Summary:
         self.gaps += other.gaps
         self.max_gap_ns = max(self.max_gap_ns, other.max_gap_ns)
         self.gaps_ns += other.gaps_ns
+        self.silence_ns = max(self.silence_ns, other.silence_ns)
         margins = [tightest for tightest in (self.tightest, other.tightest) if tightest is not None]
         self.tightest = min(margins, key=lambda tightest: tightest.contact.margin, default=None)
 
@@ -230,6 +238,7 @@ class Summary:
             "seconds_by_verdict": {verdict.name: self.time_ns[verdict] / 1e9 for verdict in Verdict},
             "gaps": self.gaps,
             "longest_gap_s": self.max_gap_ns / 1e9,
+            "silence_at_end_s": self.silence_ns / 1e9,
             "unknown_reasons": self.reason_counts(),
             "remedy": self.remedy,
             "mass_models": dict(self.mass_models.most_common()),
@@ -245,8 +254,7 @@ class Summary:
             if count := self.cycles[verdict]:
                 share = self.time_ns[verdict] / total_ns if total_ns else count / cycles
                 yield verdict.name, f"{count} cycles, {self.time_ns[verdict] / 1e9:.2f} s ({share:.1%})"
-        if self.gaps:
-            yield "gaps", f"{self.gaps} longer than the timeout, the longest {self.max_gap_ns / 1e9:.3f} s"
+        yield from self._gap_lines()
         if self.tightest is not None:
             yield from self.tightest.lines()
         if len(self.deciding) > 1 and (deciding := shares(self.deciding)):
@@ -260,6 +268,13 @@ class Summary:
             yield "UNKNOWN because", f"{len(reasons) - REASONS_SHOWN} other reasons (--json lists them)"
         if self.remedy:
             yield "remedy", self.remedy
+
+    def _gap_lines(self) -> Iterator[tuple[str, str]]:
+        if self.gaps:
+            yield "gaps", f"{self.gaps} longer than the timeout, the longest {self.max_gap_ns / 1e9:.3f} s"
+        if self.silence_ns:
+            silence = f"{self.silence_ns / 1e9:.2f} s of the recording"
+            yield "silent", f"no joint state of the arm in the last {silence}: UNKNOWN live"
 
     def _pass_time(self, at_ns: IntArray, verdicts: NDArray[np.int8]) -> None:
         if self.last is not None:

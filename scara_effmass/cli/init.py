@@ -166,6 +166,7 @@ def _recording(args: argparse.Namespace, settings: MonitorSettings, dynamics: Ro
         for states in assess_joint_states(bag, topic, Monitor(dynamics, settings)):
             summary.add(states)
             progress.advance(task, len(states))
+        summary.end(bag.end_ns)
     return topic, summary
 
 

@@ -403,6 +403,22 @@ def test_gaps_and_joint_states_of_other_devices_are_counted(swing_bag: Path, cli
     assert result["seconds_by_verdict"]["UNKNOWN"] >= 301 * 0.002 - 0.2
 
 
+@pytest.mark.parametrize("silence_s", [0.1, 4.0])
+def test_recording_that_goes_on_without_the_arm_says_so(
+    swing_bag: Path, cli: Cli, tmp_path: Path, silence_s: float
+) -> None:
+    with open_bag(swing_bag) as bag, BagWriter(tmp_path / "on.mcap") as longer:
+        for message in bag.messages(["/joint_states"]):
+            longer.write("/joint_states", JOINT_STATE, message.log_time_ns, message.data)
+        end_ns = message.log_time_ns + round(silence_s * 1e9)
+        longer.write("/joint_states", JOINT_STATE, end_ns, message.data.replace(b"joint", b"wheel"))
+    done = cli("assess", tmp_path / "on.mcap", "-o", tmp_path / "a.csv")
+    line = "no joint state of the arm in the last 4.00 s of the recording: UNKNOWN live"
+    assert (line in done.stdout) == (silence_s > 1.0)
+    result = json.loads(cli("assess", tmp_path / "on.mcap", "-o", tmp_path / "b.csv", "--json").stdout)
+    assert result["silence_at_end_s"] == pytest.approx(silence_s if silence_s > 1.0 else 0.0)
+
+
 @pytest.mark.usefixtures("unrendered")
 def test_report_shows_every_contact_point_and_episode(swing_bag: Path, cli: Cli, tmp_path: Path) -> None:
     words = ("assess", swing_bag, share("bags", "tour"), "-o", tmp_path / "a.csv", "--report", tmp_path / "report")
