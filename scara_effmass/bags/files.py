@@ -113,9 +113,9 @@ def _open_files(bag: Path, paths: Sequence[Path], losses: LossLog, *, are_messag
                 return path
             return inflate_file(path, Path(stack.enter_context(TemporaryDirectory(prefix="scara-effmass-"))))
 
-        files = [uncompressed(path) for path in paths]
+        files = [(path, uncompressed(path)) for path in paths]
         formats = set()
-        for path, file in zip(paths, files, strict=True):
+        for path, file in files:
             if not (head := _head(file)):
                 raise BagError(f"{path}: is empty")
             formats.add(next((magic for magic in FORMATS if head.startswith(magic)), b""))
@@ -193,15 +193,16 @@ class RosbagsBag(Bag):
     def __init__(
         self,
         path: Path,
-        paths: Sequence[Path],
+        paths: Sequence[tuple[Path, Path]],
         losses: LossLog,
         make_reader: type[Reader],
         *,
         are_messages_compressed: bool = False,
     ) -> None:
+        """Open the bag as `McapBag` does."""
         self._are_messages_compressed = are_messages_compressed
         with ExitStack() as stack:
-            self._readers = [(file, _open_reader(file, make_reader, stack)) for file in paths]
+            self._readers = [(file, _open_reader(file, copy, make_reader, stack)) for file, copy in paths]
             self._stack = stack.pop_all()
         super().__init__(path, list(self._stored_topics()), losses, is_ros1=make_reader is Ros1Reader)
         for file, reader in self._readers:
@@ -275,10 +276,10 @@ def _batch(messages: list[tuple[int, int, bytes]]) -> MessageBatch:
     return batch_of(indices, times, list(data))
 
 
-def _open_reader(path: Path, make_reader: type[Reader], stack: ExitStack) -> Reader:
-    """Open a file with rosbags until `stack` closes it."""
+def _open_reader(path: Path, uncompressed: Path, make_reader: type[Reader], stack: ExitStack) -> Reader:
+    """Open the `uncompressed` copy of the file at `path` with rosbags until `stack` closes it."""
     try:
-        reader = make_reader(local_file(path))
+        reader = make_reader(local_file(uncompressed))
         reader.open()
         if isinstance(reader, Ros1Reader):
             _bound_chunks(reader)

@@ -312,12 +312,12 @@ def _column(octets: NDArray[np.uint8], offset: IntArray, dtype: str) -> IntArray
 class McapFile:
     """An open MCAP file, or an indexed copy of it if it has no usable index."""
 
-    def __init__(self, path: Path, losses: LossLog) -> None:
-        """Open the file. Raises BagError if it is not MCAP, or OSError."""
+    def __init__(self, path: Path, losses: LossLog, uncompressed: Path | None = None) -> None:
+        """Open the file at `path`, or its `uncompressed` copy. Raises BagError if it is not MCAP, or OSError."""
         self.path = path
         self._losses = losses
         self._topic_of_channel = np.full(1 << 16, -1, np.int64)
-        self._file = open_mcap(path)
+        self._file = open_mcap(uncompressed or path)
         try:
             self._summary = self._index()
         except BaseException:
@@ -401,11 +401,17 @@ class McapBag(Bag):
     """A bag of MCAP files."""
 
     def __init__(
-        self, path: Path, paths: Sequence[Path], losses: LossLog, *, are_messages_compressed: bool = False
+        self,
+        path: Path,
+        paths: Sequence[tuple[Path, Path]],
+        losses: LossLog,
+        *,
+        are_messages_compressed: bool = False,
     ) -> None:
+        """Open the bag at `path`: `paths` are its files, each with its uncompressed copy, or the same path twice."""
         self._are_messages_compressed = are_messages_compressed
         with ExitStack() as stack:
-            files = [stack.enter_context(closing(McapFile(file, losses))) for file in paths]
+            files = [stack.enter_context(closing(McapFile(file, losses, copy))) for file, copy in paths]
             super().__init__(path, [topic for file in files for topic in file.stored_topics()], losses)
             self._stack = stack.pop_all()
         for file in files:

@@ -102,7 +102,9 @@ class BagSource(ForceSource):
         self.is_unpaced = settings.bag.rate == 0.0
         self.subscriber_timeout = settings.bag.subscriber_timeout
         self._settings = settings.bag
-        self._sensor = settings.sensor.model_copy(update={"invert": False})  # the signal conditioner inverts the sign
+        self._sensor = settings.sensor
+        if settings.bag.axis != "norm":  # with which the import refuses it
+            self._sensor = self._sensor.model_copy(update={"invert": False})  # the signal conditioner inverts the sign
         self._now_ns = now_ns
         self._reading = threading.Lock()
         self._closing = threading.Event()
@@ -189,7 +191,7 @@ class BagSource(ForceSource):
                 self._bag = None
 
     def _open(self) -> ForceBlock:
-        """Open the bag, find its topic of force and return the first block. Raises BagError."""
+        """Open the bag, find its topic of force and return the first block. Raises BagError or SettingsError."""
         path = Path(self._settings.path)
         convert = f"convert its force first: scara-effmass import {quote(str(path))} -o BAG"
         if path.is_file() and path.suffix.lower() in IMPORTERS:

@@ -91,6 +91,16 @@ def test_compressed_file_alone(tmp_path: Path, storage: StoragePlugin, suffix: s
     assert find_bags(tmp_path) == [alone]
 
 
+def test_loss_in_a_compressed_file_names_that_file(tmp_path: Path) -> None:
+    plain = write_mcap(tmp_path / "a.mcap", MIXED).read_bytes()
+    path = tmp_path / "b.mcap.zstd"
+    path.write_bytes(COMPRESS["zstd"](plain[: len(plain) // 2]))
+    with open_bag(path) as bag:
+        list(bag.messages())
+        assert bag.losses
+        assert all(loss.startswith(f"{path}: ") for loss in bag.losses)
+
+
 def test_file_bomb_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compression, "MAX_UNSTATED_BYTES", 1000)
     path = tmp_path / "a.mcap.zstd"

@@ -177,13 +177,17 @@ def test_wrenches_are_played_where_there_are_no_force_blocks(tmp_path: Path, axi
     ]
     path = write_messages(tmp_path / "wrist", wrenches)
     bag = BagSettings(path=str(path), rate=0.0, axis=axis, unit="kN")
-    source = BagSource(DaqSettings(bag=bag, sensor=SensorSettings(invert=True)), lambda: START_NS)
+    source = BagSource(DaqSettings(bag=bag, sensor=SensorSettings(invert=axis != "norm")), lambda: START_NS)
     source.start()
     readings = list(iter(lambda: source.read(0.0), None))
     source.close()
     assert source.ended
     assert [reading.stamp_ns for reading in readings] == [START_NS + n * 100 * MS for n in range(3)]
     assert np.concatenate([reading.samples[0] for reading in readings]) == pytest.approx(1e3 * force)
+    if axis == "norm":
+        inverted = BagSource(DaqSettings(bag=bag, sensor=SensorSettings(invert=True)), lambda: START_NS)
+        with pytest.raises(SettingsError, match=r"/ft: sensor\.invert = True: must not be stated, a norm has no sign"):
+            inverted.start()
 
 
 def test_file_without_force_blocks_is_refused_with_the_remedy(tmp_path: Path) -> None:
