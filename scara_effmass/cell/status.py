@@ -129,7 +129,8 @@ class Diagnostic(NamedTuple):
 
 def left_out_entry(stamp_ns: int) -> str:
     """Return the entry of the validator's diagnostics that says why it left out the impact with this stamp."""
-    return f"left out: impact at {stamp_ns / 1e9:.6f} s"
+    seconds, rest_ns = divmod(stamp_ns, 1_000_000_000)
+    return f"left out: impact at {seconds}.{rest_ns:09d} s"
 
 
 def _no_verdict(code: Reason, *values: float) -> tuple[Reason, str]:

@@ -40,11 +40,11 @@ def series_status(
     """
     result = validator.result()
     selected, fit = next((model.overall, model.fit) for model in result.models if model.model == result.model)
-    problems = [result.clock, result.force_sign]
+    problems = []
     if result.held.exceedances:
         worst = result.held.worst
         problems.append(f"held force above a limit: {worst.force:.1f} N of {worst.limit:.1f} N on {worst.region}")
-    problems.append(unheard)
+    problems += [result.clock, result.force_sign, unheard]
     if unpaired := sum(result.unpaired.values()):
         problems.append(f"{unpaired} impacts could not be paired: {', '.join(result.unpaired)}")
     if result.contact_point not in contact_points:
@@ -84,8 +84,8 @@ def series_status(
         "contact states too late": result.late_states,
         "undecodable messages": undecodable.total(),
     }
-    groups = {"excluded": result.excluded, "not paired": result.unpaired, "undecodable": undecodable}
-    for group, counts in groups.items():
+    groups = (("excluded", result.excluded), ("not paired", result.unpaired), ("undecodable", undecodable))
+    for group, counts in groups:
         values |= {f"{group}: {name}": count for name, count in sorted(counts.items())}
     left_out = [impact for impact in result.refused if impact.reason not in {REBOUND, DUPLICATE}][-MAX_IMPACTS:]
     values |= {

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
@@ -71,10 +72,18 @@ def test_no_problem_hides_another_and_the_most_serious_one_comes_first() -> None
 
 def test_each_impact_that_is_left_out_is_named_with_its_reason() -> None:
     validator = Validator(ValidatorSettings(contact_point="tool"))
-    for number, change in enumerate(({"clipped": True}, {"rebound": 1}, {})):
+    changes: tuple[dict[str, Any], ...] = (
+        {"clipped": True},
+        {"rebound": 1},
+        {"held_force": 150.0, "compression_impulse": 0.05},
+    )
+    for number, change in enumerate(changes):
         validator.add_impact(IMPACT._replace(stamp_ns=NOW + number, **change), NOW)
+    assert not series(validator, "tool").message.startswith("held force")
     validator.pass_time(NOW + 10**9)
-    left_out = {pair.key: pair.value for pair in series(validator, "tool").values if pair.key.startswith("left out")}
+    found = series(validator, "tool")
+    assert found.message.startswith("held force above a limit: 150.0 N of ")
+    left_out = {pair.key: pair.value for pair in found.values if pair.key.startswith("left out")}
     assert left_out == {
         left_out_entry(NOW): "clipped: the force reached the end of the measuring range",
         left_out_entry(NOW + 2): "no contact state",
