@@ -19,8 +19,11 @@ from scipy.interpolate import CubicHermiteSpline
 
 from scara_effmass.analysis.report import CYCLE, STYLE, new_figure
 from scara_effmass.cell.scaled_trajectory import ScaledTrajectory
+from scara_effmass.codes import Reason
 from scara_effmass.errors import BagError
-from scara_effmass.values import ContactAssessment, Decision, FloatArray, JointState, Verdict
+from scara_effmass.kernel.admission import METRES_PER_RADIAN
+from scara_effmass.settings import MonitorSettings
+from scara_effmass.values import BoolArray, ContactAssessment, Decision, FloatArray, JointState, Verdict, true_runs
 
 ITERATIONS = 60
 PRECISION = 0.99
@@ -29,34 +32,44 @@ MIN_FACTOR = 0.02
 """Minimum factor; a segment that needs a smaller one gets none."""
 MAX_STEP_S = 0.02
 """Longest time between two states of the re-timed motion, unless the recorded ones are further apart."""
+SLOWER = 0.8
+"""Next factor of a state that is WARN for another reason than its speed."""
+MAX_SHARE = 3.0
+"""Largest ratio of speed to allowable speed that an advice holds."""
+BY_VELOCITY = {Reason.VELOCITY_MISMATCH, Reason.UNCONFIRMED_ZERO}
+"""Reasons that lie in the reported velocities."""
+FROM_POSITIONS = "--velocity from-positions takes those of the positions"
 IntArray = NDArray[np.intp]
 
 
 class Motion:
     """Joint states of one path in order: times (m,) [s] since the first one, positions and velocities (m, n)."""
 
-    def __init__(self, states: Sequence[JointState], origin: str) -> None:
-        """Take the `states` recorded in `origin`. Raises BagError if they cannot be re-timed."""
-        names = states[0].names
-        if not all(
-            state.names == names and len(names) == len(state.position) == len(state.velocity) for state in states
-        ):
-            raise BagError(f"{origin}: must have the same joints with positions and velocities in all joint states")
-        stamps = [state.stamp_ns for state in states]
-        if not (np.isfinite([(s.position, s.velocity) for s in states]).all() and min(np.diff(stamps)) > 0):
-            raise BagError(f"{origin}: must have finite values and increasing header stamps in all joint states")
-        self.states = states
-        self.time = np.array([state.stamp_ns - states[0].stamp_ns for state in states]) / 1e9
-        self.q, self.qd = (np.array([getattr(state, kind) for state in states]) for kind in ("position", "velocity"))
+    def __init__(self, states: Sequence[JointState], origin: str, *, from_positions: bool = False) -> None:
+        """Take the `states` recorded in `origin`, with the velocities `from_positions` or the reported ones.
 
-    def segments(self, count: int | None, rest_speed: float) -> IntArray:
+        Raises BagError if they cannot be re-timed.
+        """
+        names, kinds = states[0].names, ("position",) if from_positions else ("position", "velocity")
+        if not all(s.names == names and {len(getattr(s, kind)) for kind in kinds} == {len(names)} for s in states):
+            problem = "must have the same joints with positions and velocities in all joint states"
+            raise BagError(f"{origin}: {problem}; {FROM_POSITIONS}")
+        stamps = [state.stamp_ns for state in states]
+        values = [np.array([getattr(state, kind) for state in states]) for kind in kinds]
+        if not (np.isfinite(values).all() and min(np.diff(stamps)) > 0):
+            raise BagError(f"{origin}: must have finite values and increasing header stamps in all joint states")
+        self.time = np.array([stamp_ns - stamps[0] for stamp_ns in stamps]) / 1e9
+        self.q = values[0]
+        self.qd = np.gradient(self.q, self.time, axis=0) if from_positions else values[1]
+        self.states = [state._replace(velocity=qd) for state, qd in zip(states, self.qd, strict=True)]
+
+    def segments(self, count: int | None, moves: BoolArray) -> IntArray:
         """Return the number of the segment of each state (m,).
 
         `count` segments last equally long. With 0 every state is a segment; with None each motion and each standstill
-        is one, where a standstill has no joint faster than `rest_speed` [rad/s, m/s].
+        is one, by whether each state `moves` (m,).
         """
         if count is None:
-            moves = np.abs(self.qd).max(axis=1) > rest_speed
             changes = np.concatenate(([False], moves[1:] != moves[:-1]))
             return np.cumsum(changes, dtype=np.intp)
         if count == 0:
@@ -105,7 +118,7 @@ class Advice(NamedTuple):
 
     `segment` is that of each recorded state (m,). `states` are the re-timed motion, each at a `path_time` [s] of the
     recording; they are empty if a factor is missing. `recorded` (m,) and `advised` are ratios of speed to allowable
-    speed, at most 3.
+    speed, at most MAX_SHARE.
     """
 
     segment: IntArray
@@ -134,75 +147,101 @@ def advise(
     recorded: Iterable[Decision],
     decide: Callable[[Sequence[JointState]], Iterable[Decision]],
     count: int | None,
-    rest_speed: float,
-    share: float = 1.0,
+    settings: MonitorSettings,
+    worst: Verdict = Verdict.WARN,
 ) -> Advice:
-    """Return the largest factors, at most 1, for which no speed exceeds `share` of the allowable speed.
+    """Return the largest factors, at most 1, with which no verdict is worse than `worst`, OK or WARN.
 
-    `recorded` are the decisions on the recorded motion; `decide` returns those of a fresh monitor on a re-timed one.
-    `count` and `rest_speed` are those of `Motion.segments`. UNKNOWN at a standstill does not count, because there is no
-    speed to scale.
+    `recorded` are the decisions on the recorded motion; `decide` returns those of a fresh monitor on a re-timed one,
+    both by `settings`. `count` is that of `Motion.segments`; a standstill has no contact faster than `speed_threshold`.
+    A segment that is UNKNOWN somewhere has no factor, nor one with a step longer than `timeout`. A velocity of zero
+    needs no confirmation while the positions stand still, because there is no speed to scale.
     """
-    segment = motion.segments(count, rest_speed)
-    first = last = _allowed_factors(recorded, motion.qd, share, rest_speed)
+    recorded = list(recorded)
+    first = last = _allowed_factors(recorded, motion.states, settings, worst)
+    step = np.diff(motion.time)
+    for row in np.flatnonzero(step > settings.timeout):
+        first.factors[row] = -1.0
+        first.reasons[row] = f"UNKNOWN: no joint state for {step[row]:.3f} s from {motion.time[row]:.3f} s on"
+    speeds = np.array([max(contact.speed for contact in decision.contacts) for decision in recorded])
+    segment = motion.segments(count, (speeds > settings.speed_threshold) | (first.factors < 0.0))
     factors, states, path_time = np.ones(int(segment[-1]) + 1), list(motion.states), motion.time
     good, bad, reasons = np.zeros(len(factors)), np.full(len(factors), np.inf), [""] * len(factors)
+    is_lost = np.zeros(len(factors), bool)
     for _ in range(ITERATIONS):
         before = np.clip(np.searchsorted(motion.time, path_time + 1e-9, "right") - 1, 0, len(segment) - 1)
         after = np.clip(np.searchsorted(motion.time, path_time - 1e-9), 0, len(segment) - 1)
-        # Between two segments the smaller factor decides.
-        owner = np.where(factors[segment[before]] <= factors[segment[after]], segment[before], segment[after])
+        # Between two segments the smaller factor decides, or the segment without one.
+        rank = np.where(is_lost, 0.0, factors)
+        owner = np.where(rank[segment[before]] <= rank[segment[after]], segment[before], segment[after])
         change, why = _smallest(last, owner, len(factors))
         fits = change >= 1.0
         good, bad = np.where(fits, factors, np.where(good < factors, good, 0.0)), np.where(fits, bad, factors)
-        reasons = [old if fit and old else new for fit, old, new in zip(fits, reasons, why, strict=True)]
+        reasons = [old if keep and old else new for keep, old, new in zip(fits | is_lost, reasons, why, strict=True)]
         is_found = (good >= np.minimum(bad * PRECISION, 1.0)) & (good > 0.0)
-        if np.all(fits & is_found):
+        if np.all(fits & is_found | is_lost):
             break
         # The next factor follows from the allowable speed if it lies between the bounds, else it is their mean.
         guess = factors * change * (1.0 - 1e-4)
         least = np.maximum(good, 0.2 * bad)  # a slower motion accelerates less, which allows more speed
         mean = np.sqrt(least * np.minimum(bad, 1.0))
         factors = np.where(is_found, good, np.where((guess > least) & (guess < PRECISION * bad), guess, mean))
-        factors = np.where((change < 0.0) | (factors < MIN_FACTOR), np.nan, np.minimum(factors, 1.0))
-        if np.isnan(factors).any():
-            states = []
+        is_lost |= (change < 0.0) | (factors < MIN_FACTOR)
+        if is_lost.all():
             break
+        factors = np.where(is_lost, 1.0, np.minimum(factors, 1.0))
         states, path_time = motion.at_factors(factors[segment])
-        last = _allowed_factors(decide(states), np.array([state.velocity for state in states]), share, rest_speed)
-    else:
-        factors, states = np.full(len(factors), np.nan), []
+        last = _allowed_factors(decide(states), states, settings, worst)
+    is_open = ~(fits & is_found | is_lost)
+    for number in np.flatnonzero(is_open):
+        reasons[number] = f"not found within {ITERATIONS} steps: state fewer segments"
     recorded_share, advised_share = (
-        np.where(allowed < 0.0, np.nan, 1.0 / np.maximum(allowed, 1.0 / 3.0)) for allowed, _ in (first, last)
+        np.where(allowed < 0.0, np.nan, 1.0 / np.maximum(allowed, 1.0 / MAX_SHARE)) for allowed, _ in (first, last)
     )
+    is_missing = is_open | is_lost
+    factors, states = np.where(is_missing, np.nan, good), [] if is_missing.any() else states
     return Advice(segment, factors, reasons, states, path_time, recorded_share, advised_share)
 
 
+class _Allowed(NamedTuple):
+    """Factor (m,) that each state still allows, 0 if it allows no speed, -1 if UNKNOWN, and the reasons."""
+
+    factors: FloatArray
+    reasons: list[str]
+
+
 def _allowed_factors(
-    decisions: Iterable[Decision], qd: FloatArray, share: float, rest_speed: float
-) -> tuple[FloatArray, list[str]]:
-    """Return the factor (m,) that each state still allows, 0 if it allows no speed, -1 if UNKNOWN, and the reasons."""
-    rows = [min(_allowed(contact, share) for contact in decision.contacts) for decision in decisions]
+    decisions: Iterable[Decision], states: Sequence[JointState], settings: MonitorSettings, worst: Verdict
+) -> _Allowed:
+    decisions = list(decisions)
+    share = settings.warn_ratio if worst is Verdict.OK else 1.0
+    rows = [min(_allowed(contact, share, worst) for contact in decision.contacts) for decision in decisions]
     factors = np.array([factor for factor, _ in rows])
-    factors[(factors < 0.0) & (np.abs(qd).max(axis=1) <= rest_speed)] = np.inf
-    return factors, [text for _, text in rows]
+    tolerance = METRES_PER_RADIAN * settings.position_tolerance  # of any joint: the smaller one
+    for start, stop in true_runs(np.array([d.reason_code is Reason.UNCONFIRMED_ZERO for d in decisions])):
+        if np.ptp([state.position for state in states[start:stop]], axis=0).max() <= tolerance:
+            factors[start:stop] = np.inf
+    return _Allowed(factors, [text for _, text in rows])
 
 
-def _allowed(contact: ContactAssessment, share: float) -> tuple[float, str]:
+def _allowed(contact: ContactAssessment, share: float, worst: Verdict) -> tuple[float, str]:
     if contact.verdict is Verdict.UNKNOWN:
-        return -1.0, f"UNKNOWN: {contact.contact_point}: {contact.reason}"
+        remedy = f"; {FROM_POSITIONS}" if contact.reason_code in BY_VELOCITY else ""
+        return -1.0, f"UNKNOWN: {contact.contact_point}: {contact.reason}{remedy}"
     if contact.allowable_speed <= 0.0:
         return 0.0, f"no speed is allowed: {contact.contact_point}: {contact.reason}"
-    limit = f"{contact.contact_point}: {contact.criterion} limit of {contact.body_region}"
-    return share * contact.allowable_speed / max(contact.speed, 1e-9), limit
+    factor = share * contact.allowable_speed / max(contact.speed, 1e-9)
+    if factor >= 1.0 and contact.verdict > worst:
+        return SLOWER, f"{contact.verdict.name}: {contact.contact_point}: {contact.reason}"
+    return factor, f"{contact.contact_point}: {contact.criterion} limit of {contact.body_region}"
 
 
-def _smallest(allowed: tuple[FloatArray, list[str]], owner: IntArray, count: int) -> tuple[FloatArray, list[str]]:
+def _smallest(allowed: _Allowed, owner: IntArray, count: int) -> tuple[FloatArray, list[str]]:
     """Return the smallest factor of each of `count` segments and its reason; `owner` is the segment of each state."""
     factors, texts = allowed
     smallest, reasons = np.full(count, np.inf), [""] * count
     np.minimum.at(smallest, owner, factors)
-    for index in np.flatnonzero(factors <= smallest[owner]):
+    for index in np.flatnonzero(factors <= smallest[owner])[::-1]:
         reasons[owner[index]] = texts[index]
     return smallest, reasons
 
@@ -216,7 +255,7 @@ def draw_advice(motion: Motion, advice: Advice, title: str) -> Figure:
         if advice.states:
             used.plot(advice.path_time, advice.advised, color=CYCLE[0], label="as advised")
         used.axhline(1.0, color="0.3", linestyle="--", label="allowable speed")
-        used.set(ylabel="speed / allowable speed", ylim=(0.0, None))
+        used.set(ylabel=f"speed / allowable speed (at most {MAX_SHARE:g})", ylim=(0.0, None))
         used.legend()
         factor.step(motion.time, advice.factors[advice.segment], where="post", color=CYCLE[0])
         factor.set(xlabel="recorded time [s]", ylabel="factor", ylim=(0.0, 1.05))

@@ -23,12 +23,16 @@ from scara_effmass.cli.console import print_result, progress_bar, tracked
 from scara_effmass.cli.options import load_dynamics, monitor_settings, require_no_payload_topic, robot_line
 from scara_effmass.cli.tasks import SMALL_BYTES, Advance, open_run, sound
 from scara_effmass.errors import BagError, SettingsError
+from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
+from scara_effmass.safety.assumptions import assumptions_of
 from scara_effmass.settings import MonitorSettings, VelocitySource
 from scara_effmass.sim.recordings import write_recording
 from scara_effmass.values import Decision, JointState, RunInfo, Verdict
 
 ADVICE, TABLE, SUMMARY, BAG = "advice", "segments.csv", "advice.json", "advised.mcap"
+MAX_LINES = 10
+"""Largest number of segments without a factor that are printed."""
 COVERAGE, COUNTS = "coverage", "coverage.json"
 
 
@@ -41,30 +45,23 @@ def _advise(args: argparse.Namespace) -> int:
     """Assess the recording, write factors, figure and re-timed motion, and print them."""
     settings = monitor_settings(args, latch=False, release_time=0.0)  # each state by itself
     require_no_payload_topic(settings, "advice")
-    if settings.velocity_source is not VelocitySource.REPORTED or settings.velocity_window:
-        raise SettingsError("velocity_source: must be reported, with velocity_window 0, for a motion to re-time")
+    if settings.velocity_window:
+        raise SettingsError(f"velocity_window = {settings.velocity_window:g}: must be 0 for a motion to re-time")
     check_output_files(args.output, [*figure_files([ADVICE]), TABLE, SUMMARY, BAG], overwrite=args.force)
     dynamics = load_dynamics(settings)
-    with progress_bar() as progress, open_bag(args.bag) as bag:
-        topic = joint_state_topic(bag, args.topic)
-        assessed = assessed_rows(bag, topic, Monitor(dynamics, settings), Time.HEADER)
-        items = list(tracked(progress, bag, topic, assessed))
-    states, recorded = [item.state for item in items if item.state], [item.decision for item in items]
-    if len(states) < max(len(items), 2):
-        raise BagError(f"{args.bag}: {topic}: must hold two joint states or more, all of them decodable")
-    motion = Motion(states, f"{args.bag}: {topic}")
-
-    def decide(states: Sequence[JointState]) -> Iterator[Decision]:
-        monitor = Monitor(dynamics, settings)
-        return (decision for state in states if (decision := monitor.assess(state, state.stamp_ns)))
-
-    share = settings.warn_ratio if args.verdict == "ok" else 1.0
-    advice = advise(motion, recorded, decide, args.segments, settings.speed_threshold, share)
+    assumptions = assumptions_of(dynamics.robot, settings)
+    if args.verdict == "ok" and assumptions.limiting:
+        raise SettingsError(f"--verdict = ok: must be warn while no verdict can be OK: {assumptions.reason}")
+    motion, recorded, losses = _recorded_motion(args, dynamics, settings)
+    decide = partial(_decide, dynamics, settings)
+    worst = Verdict.OK if args.verdict == "ok" else Verdict.WARN
+    advice = advise(motion, recorded, decide, args.segments, settings, worst)
     rows, (before, after) = list(_segments(motion, advice)), advice.times(motion)
     missing = [row for row in rows if row["factor"] is None]
     unknown = sum(any(contact.verdict is Verdict.UNKNOWN for contact in decision.contacts) for decision in recorded)
     cycle = {"recorded_s": float(before.sum()), "advised_s": None if missing else float(after.sum())}
     result = {"output": str(args.output), "verdict": args.verdict, "cycle_time": cycle, "unknown": unknown}
+    result |= {"assumptions": assumptions.as_dict(), "losses": losses}
     origin = provenance(settings, dynamics.robot.origin, [args.bag])
     table = StringIO()
     writer = csv.DictWriter(table, rows[0], lineterminator="\n")
@@ -79,15 +76,43 @@ def _advise(args: argparse.Namespace) -> int:
         (args.output / BAG).unlink(missing_ok=True)  # of an earlier run
     else:
         note = f"generated: the motion of {args.bag}, re-timed by advise; no robot moved so"
-        info = RunInfo(stamp_ns=states[0].stamp_ns, simulated=True, note=note)
+        info = RunInfo(stamp_ns=motion.states[0].stamp_ns, simulated=True, note=note)
         write_recording(args.output / BAG, info, advice.states, (), overwrite=args.force)
     lines = [robot_line(dynamics.robot, settings)]
-    lines += [("joint states", f"{len(states)}, {unknown} of them UNKNOWN"), ("segments", str(len(rows)))]
-    lines += [("no speed", f"from {row['start_s']:.3f} s: {row['decides']}") for row in missing[:10]]
+    lines += [("joint states", f"{len(motion.states)}, {unknown} of them UNKNOWN"), ("segments", str(len(rows)))]
+    lines += [("no speed", f"from {row['start_s']:.3f} s: {row['decides']}") for row in missing[:MAX_LINES]]
+    if len(missing) > MAX_LINES:
+        lines += [("no speed", f"of {len(missing) - MAX_LINES} more segments: see {TABLE}")]
     ends = "no advised motion: some segments have no speed" if missing else f"{after.sum():.2f} s"
+    lines += [("assumed", text) for _, text in assumptions.lines]
+    lines += [("not read", loss) for loss in losses]
     lines += [("cycle time", f"{before.sum():.2f} s recorded, {ends}")]
     print_result({**result, "segments": rows}, [*lines, ("written", args.output / f"{ADVICE}.png")], as_json=args.json)
     return 1 if missing else 0
+
+
+def _recorded_motion(
+    args: argparse.Namespace, dynamics: RobotDynamics, settings: MonitorSettings
+) -> tuple[Motion, list[Decision], list[str]]:
+    """Return the recorded motion, the decisions on it, and what could not be read. Raises BagError."""
+    with progress_bar() as progress, open_bag(args.bag) as bag:
+        topic = joint_state_topic(bag, args.topic)
+        assessed = assessed_rows(bag, topic, Monitor(dynamics, settings), Time.HEADER)
+        items = list(tracked(progress, bag, topic, assessed))
+        losses = list(bag.losses)
+    states = [item.state for item in items if item.state]
+    if len(states) < max(len(items), 2):
+        raise BagError(f"{args.bag}: {topic}: must hold two joint states or more, all of them decodable")
+    if settings.velocity_source is VelocitySource.REPORTED:
+        return Motion(states, f"{args.bag}: {topic}"), [item.decision for item in items], losses
+    motion = Motion(states, f"{args.bag}: {topic}", from_positions=True)
+    return motion, list(_decide(dynamics, settings, motion.states)), losses
+
+
+def _decide(dynamics: RobotDynamics, settings: MonitorSettings, states: Sequence[JointState]) -> Iterator[Decision]:
+    """Yield the decisions of a fresh monitor on the `states` of a motion, with their velocities."""
+    monitor = Monitor(dynamics, settings.model_copy(update={"velocity_source": VelocitySource.REPORTED}))
+    return (decision for state in states if (decision := monitor.assess(state, state.stamp_ns)))
 
 
 def _segments(motion: Motion, advice: Advice) -> Iterator[dict[str, Any]]:

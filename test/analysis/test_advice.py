@@ -23,7 +23,6 @@ from scara_effmass.values import Decision, FloatArray, JointState, Verdict
 JOINTS = ("joint1", "joint2", "joint3", "joint4")
 SETTINGS = MonitorSettings(contact_points=("tool",), release_time=0.0)
 RATE_HZ = 50
-REST = SETTINGS.speed_threshold
 
 
 def joint_states(q: FloatArray, qd: FloatArray, rate_hz: int = RATE_HZ) -> list[JointState]:
@@ -56,8 +55,8 @@ class Judge:
         monitor = Monitor(self.dynamics, self.settings)
         return [decision for state in states if (decision := monitor.assess(state, state.stamp_ns))]
 
-    def advise(self, motion: Motion, count: int | None = None, share: float = 1.0) -> Advice:
-        return advise(motion, self(motion.states), self, count, REST, share)
+    def advise(self, motion: Motion, count: int | None = None, worst: Verdict = Verdict.WARN) -> Advice:
+        return advise(motion, self(motion.states), self, count, self.settings, worst)
 
 
 def verdicts(decisions: Iterable[Decision]) -> set[Verdict]:
@@ -88,7 +87,7 @@ def test_advised_motion_has_no_violation(
 
 def test_ok_motion_has_no_warn(dynamics: RobotDynamics, motion: Motion) -> None:
     judge = Judge(dynamics)
-    assert verdicts(judge(judge.advise(motion, share=SETTINGS.warn_ratio).states)) <= {Verdict.OK, Verdict.UNKNOWN}
+    assert verdicts(judge(judge.advise(motion, worst=Verdict.OK).states)) <= {Verdict.OK, Verdict.UNKNOWN}
 
 
 def test_no_segment_is_slower_than_needed(
@@ -149,6 +148,49 @@ def test_unknown_motion_and_forbidden_speed_get_no_factor(dynamics: RobotDynamic
     assert all(reason.startswith(("no speed is allowed: tool: ", "UNKNOWN")) for reason in forbidden.reasons)
 
 
+def test_gap_longer_than_the_timeout_gets_no_factor_and_the_others_keep_theirs(
+    dynamics: RobotDynamics, motion: Motion, advised: Callable[[int | None], Advice]
+) -> None:
+    fastest = int(np.abs(motion.qd).max(axis=1).argmax())
+    gap = Motion([*motion.states[: fastest + 1], *motion.states[fastest + 11 :]], "gap")
+    advice = Judge(dynamics).advise(gap)
+    (missing,) = np.flatnonzero(np.isnan(advice.factors))
+    start_s = gap.time[fastest]
+    assert advice.segment[fastest] == missing
+    assert advice.reasons[missing] == f"UNKNOWN: no joint state for 0.220 s from {start_s:.3f} s on"
+    assert not advice.states
+    others = np.arange(len(advice.factors)) != missing
+    assert np.all(advice.factors[others] > 0.0)
+    assert np.all(advice.factors[others] <= advised(None).factors[others] * 1.02)
+
+
+def test_zeros_need_no_confirmation_only_while_the_positions_stand_still(dynamics: RobotDynamics) -> None:
+    crawl = np.linspace(0.0, 0.02, 20)[:, None] * [1.0, 1.0, 0.1, 1.0] + [0.0, 1.2, 0.1, 0.0]
+    rest, moving = (Motion(joint_states(q, 0.0 * q, 200), "zeros") for q in (0.0 * crawl + crawl[0], crawl))
+    assert np.all(Judge(dynamics).advise(rest).factors == 1.0)
+    advice = Judge(dynamics).advise(moving)
+    assert np.isnan(advice.factors).all()
+    assert all("--velocity from-positions" in reason for reason in advice.reasons)
+    true = Motion(moving.states, "zeros", from_positions=True)
+    np.testing.assert_allclose(true.qd[:, 0], 0.02 / 19 * 200)
+    assert np.all(Judge(dynamics).advise(true).factors == 1.0)
+
+
+def test_factors_that_were_found_stay_where_others_take_too_many_steps(
+    dynamics: RobotDynamics,
+    motion: Motion,
+    advised: Callable[[int | None], Advice],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("scara_effmass.analysis.advice.ITERATIONS", 3)
+    advice = Judge(dynamics).advise(motion)
+    is_open = np.isnan(advice.factors)
+    assert 0 < is_open.sum() < len(is_open)
+    np.testing.assert_allclose(advice.factors[~is_open], advised(None).factors[~is_open], rtol=0.02)
+    assert all(("not found within 3 steps" in why) == bad for why, bad in zip(advice.reasons, is_open, strict=True))
+    assert not advice.states
+
+
 def test_states_that_cannot_be_re_timed_are_refused(motion: Motion) -> None:
     first, second = motion.states[:2]
     for bad in (
@@ -157,5 +199,5 @@ def test_states_that_cannot_be_re_timed_are_refused(motion: Motion) -> None:
         second._replace(position=np.full(4, np.nan)),
         second._replace(stamp_ns=first.stamp_ns),
     ):
-        with pytest.raises(BagError, match=r"^run: must have .* in all joint states$"):
+        with pytest.raises(BagError, match=r"^run: must have .* in all joint states"):
             Motion([first, bad], "run")

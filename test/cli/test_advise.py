@@ -10,6 +10,7 @@ from matplotlib.image import imread
 
 from scara_effmass.analysis.assessment import generated_description
 from scara_effmass.bags.files import open_bag
+from scara_effmass.share import share
 from scara_effmass.sim.motion import sample_moves
 from scara_effmass.sim.recordings import EPOCH_NS, JOINTS, write_recording
 from scara_effmass.studies.shipped_bags import tour_moves
@@ -17,16 +18,20 @@ from scara_effmass.values import JointState, RunInfo
 from test.cli.conftest import Cli, Refused
 
 
-@pytest.fixture(scope="module")
-def fast_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Seven fast seconds of the tour, through a stretched pose."""
-    path = tmp_path_factory.mktemp("advise") / "fast.mcap"
+def write_tour(path: Path, velocity: float = 1.0) -> Path:
+    """Write seven fast seconds of the tour, through a stretched pose, with the share `velocity` of its velocities."""
     q, qd = sample_moves(tour_moves(), 25)
     start = 390 + int(np.abs(qd[390:410]).max(axis=1).argmin())
-    rows = [(q[start], 0.0 * q[start])] * 13 + list(zip(q[start:575], qd[start:575], strict=True))
+    rows = [(q[start], 0.0 * q[start])] * 13 + list(zip(q[start:575], velocity * qd[start:575], strict=True))
     states = (JointState(EPOCH_NS + number * 40_000_000, JOINTS, *row) for number, row in enumerate(rows))
     write_recording(path, RunInfo(stamp_ns=EPOCH_NS, simulated=True, note="test"), states, (), overwrite=False)
     return path
+
+
+@pytest.fixture(scope="module")
+def fast_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Recording of the fast tour."""
+    return write_tour(tmp_path_factory.mktemp("advise") / "fast.mcap")
 
 
 @pytest.mark.parametrize(("verdict", "absent"), [("warn", ["VIOLATION"]), ("ok", ["VIOLATION", "WARN"])])
@@ -62,7 +67,21 @@ def test_segment_without_a_speed_is_named_and_writes_no_motion(
     assert "--force" in refused("advise", fast_bag, "-o", tmp_path / "out")
 
 
+@pytest.mark.usefixtures("unrendered")
+def test_motion_without_velocities_is_advised_by_its_positions(cli: Cli, tmp_path: Path) -> None:
+    zeros = write_tour(tmp_path / "zeros.mcap", velocity=0.0)
+    done = cli("advise", zeros, "-o", tmp_path / "out")
+    assert (done.returncode, done.stderr) == (1, "")
+    assert "--velocity from-positions takes those of the positions" in done.stdout
+    assert cli("advise", zeros, "-o", tmp_path / "out", "--force", "--velocity", "from-positions").returncode == 0
+    advised = cli("assess", tmp_path / "out" / "advised.mcap", "-o", tmp_path / "advised.csv", "--json")
+    assert not json.loads(advised.stdout)["cycles_by_verdict"]["VIOLATION"]
+
+
 def test_settings_that_cannot_be_re_timed_are_refused(refused: Refused, fast_bag: Path, tmp_path: Path) -> None:
-    assert "must be reported" in refused("advise", fast_bag, "-o", tmp_path / "out", "--velocity", "from-positions")
+    assert "must be 0" in refused("advise", fast_bag, "-o", tmp_path / "out", "--velocity-window", "0.04")
+    ur5 = share("config", "robots", "ur5_robot.urdf")
+    ok = refused("advise", fast_bag, "-o", tmp_path / "out", "--verdict", "ok", "--robot", ur5)
+    assert ok.startswith("--verdict = ok: must be warn while no verdict can be OK: payload not stated: ")
     assert "must be empty" in refused("advise", fast_bag, "-o", tmp_path / "out", "--payload-topic", "payload")
     assert "must be a whole number from 0" in refused("advise", fast_bag, "-o", tmp_path / "out", "--segments", "-1")
