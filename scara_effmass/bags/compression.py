@@ -88,9 +88,7 @@ def inflate_file(path: Path, folder: Path) -> Path:
     A truncated file gives its intact part. Raises BagError if it is damaged from the start, longer than it states, or
     has no room, and OSError.
     """
-    name = path.name
-    for suffix in ZSTD_SUFFIXES:
-        name = name.removesuffix(suffix)
+    name = path.stem if path.suffix.lower() in ZSTD_SUFFIXES else path.name
     room = shutil.disk_usage(folder).free - RESERVE_BYTES
     with path.open("rb") as file, (folder / name).open("xb") as output:
         try:

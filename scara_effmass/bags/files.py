@@ -28,22 +28,26 @@ from scara_effmass.url import Url, local_file
 Reader = Ros1Reader | Ros2Reader
 
 SUFFIXES = {".mcap", ".db3", ".bag"}
+UNFINISHED = ".active"
 METADATA = "metadata.yaml"
-SPLIT_NAME = re.compile(r"(?P<name>.+)_(?P<number>\d+)\.(?P<suffix>(mcap|db3)(\.zstd)?)")
+SPLIT_NAME = re.compile(r"(?P<name>.+)_(?P<number>\d+)\.(?P<suffix>(mcap|db3)(\.zstd)?)", re.IGNORECASE)
 """Name of a file in a rosbag2 folder."""
 BATCH_MESSAGES = 1000
 BATCH_BYTES = 1 << 20
 
 
 def find_bags(path: Path) -> list[Path]:
-    """Return the bags at `path`: a file, a rosbag2 folder, or a folder of these. Raises BagError if there is none."""
+    """Return the bags at `path`: a file, a rosbag2 folder, or those in a folder and the folders below, by name.
+
+    Hidden folders are left out. A bag that cannot be opened, such as a link to nowhere, is one of them. Raises BagError
+    if there is none.
+    """
     try:
         if path.is_file() or is_rosbag2_folder(path):
             return [path]
         if path.exists() and not path.is_dir():
             check_regular_file(path, BagError)
-        children = sorted(path.iterdir())
-        bags = [p for p in children if is_rosbag2_folder(p) or (p.is_file() and _is_bag_name(p))]
+        bags = list(_bags_below(path, set()))
     except FileNotFoundError:
         raise BagError(f"{path}: does not exist") from None
     except OSError as error:
@@ -51,6 +55,21 @@ def find_bags(path: Path) -> list[Path]:
     if not bags:
         raise BagError(f"{path}: contains no bag; expected a rosbag2 folder, .mcap, .db3 or ROS 1 .bag")
     return bags
+
+
+def _bags_below(folder: Path, visited: set[Path]) -> Iterator[Path]:
+    """Yield the bags in `folder` and below; links may lead to a folder again, which counts once. Raises OSError."""
+    if (target := folder.resolve()) in visited:
+        return
+    visited.add(target)
+    for path in sorted(folder.iterdir()):
+        if path.is_dir():
+            if is_rosbag2_folder(path):
+                yield path
+            elif not path.name.startswith("."):
+                yield from _bags_below(path, visited)
+        elif is_bag_name(path):
+            yield path
 
 
 def open_bag(path: Path) -> Bag:
@@ -83,7 +102,7 @@ def is_rosbag2_folder(folder: Path) -> bool:
 
 def bag_files(folder: Path) -> list[Path]:
     """Return the bag files in `folder` in the order of their numbers. Raises OSError."""
-    paths = (path for path in folder.iterdir() if _is_bag_name(path) and path.is_file())
+    paths = (path for path in folder.iterdir() if is_bag_name(path) and path.is_file())
     return sorted(paths, key=lambda path: (_split_name(path)[1], path))
 
 
@@ -93,15 +112,16 @@ def _split_name(path: Path) -> tuple[str, int]:
     return (f"{match['name']}.{match['suffix']}", int(match["number"])) if match else ("", 0)
 
 
-def _is_bag_name(path: Path) -> bool:
-    """Return whether a file has the suffix of a bag, compressed or not."""
-    return path.suffix in SUFFIXES or (path.suffix in ZSTD_SUFFIXES and Path(path.stem).suffix in SUFFIXES)
+def is_bag_name(path: Path) -> bool:
+    """Return whether a file has the suffix of a bag, compressed or not, or of one that the recorder did not finish."""
+    *_, inner, suffix = "", "", *(suffix.lower() for suffix in path.suffixes)
+    return suffix in SUFFIXES or (suffix in {*ZSTD_SUFFIXES, UNFINISHED} and inner in SUFFIXES)
 
 
 def bag_bytes(bag: Path) -> int:
     """Return the size of a bag that `find_bags` found."""
     paths = bag_files(bag) if bag.is_dir() else [bag]
-    return sum(path.size() if isinstance(path, Url) else path.stat().st_size for path in paths)
+    return sum(path.size() if isinstance(path, Url) else path.stat().st_size for path in paths if path.is_file())
 
 
 def _open_files(bag: Path, paths: Sequence[Path], losses: LossLog, *, are_messages_compressed: bool = False) -> Bag:
@@ -135,6 +155,7 @@ def _head(path: Path) -> bytes:
 def _open_folder(folder: Path, losses: LossLog) -> Bag:
     metadata = read_metadata(folder, losses)
     present = bag_files(folder)
+    _name_inner_bags(folder, present, losses)
     mode, compression = (str(metadata.get(key) or "").lower() for key in ("compression_mode", "compression_format"))
     if mode not in {"", "none", "file", "message"} or (mode in {"file", "message"} and compression != "zstd"):
         raise BagError(
@@ -165,6 +186,12 @@ def _open_folder(folder: Path, losses: LossLog) -> Bag:
     return bag
 
 
+def _name_inner_bags(folder: Path, present: Sequence[Path], losses: LossLog) -> None:
+    for path in _bags_below(folder, set()):
+        if path not in present:
+            losses.add(f"{path}: lies in the bag {folder}; not read")
+
+
 def _continues(path: Path, named: Sequence[Path]) -> bool:
     """Return whether a file continues the bag with the files `named`."""
     name, number = _split_name(path)
@@ -185,6 +212,14 @@ def read_metadata(folder: Path, losses: LossLog) -> dict[str, Any]:
         losses.add(f"{path}: does not describe a bag; read without it")
         return {}
     return information
+
+
+class SqliteReader(Ros2Reader):
+    """Reader of an SQLite file with any suffix."""
+
+    def __init__(self, path: Path) -> None:
+        """See `rosbags.rosbag2.Reader`."""
+        self.path, self.is_open, self.storage = path, False, self.STORAGE_PLUGINS[".db3"](path)
 
 
 class RosbagsBag(Bag):
@@ -324,7 +359,7 @@ def _lost_rows(reader: Reader) -> Iterator[str]:
 
 FORMATS: dict[bytes, Callable[..., Bag]] = {
     MAGIC: McapBag,
-    b"SQLite format 3\0": partial(RosbagsBag, make_reader=Ros2Reader),
+    b"SQLite format 3\0": partial(RosbagsBag, make_reader=SqliteReader),
     b"#ROSBAG V": partial(RosbagsBag, make_reader=Ros1Reader),
 }
 """Bags by the first bytes of their files."""

@@ -75,7 +75,7 @@ def repair(path: Path) -> RepairReport:
 
 def _repair_bag(bag: Path) -> RepairReport:
     is_folder = bag.is_dir()
-    paths = [path for path in bag_files(bag) if path.suffix == ".mcap"] if is_folder else [bag]
+    paths = [path for path in bag_files(bag) if path.suffix.lower() == ".mcap"] if is_folder else [bag]
     if not paths:
         raise BagError(f"{bag}: contains no .mcap file; only MCAP bags can be repaired")
     repaired: list[tuple[FileRepair, BagFile]] = []

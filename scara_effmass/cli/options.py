@@ -8,6 +8,7 @@ import math
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping
 from enum import Enum
+from functools import partial
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
@@ -100,11 +101,11 @@ def _plane(text: str) -> tuple[int, float]:
     return "xyz".index(axis), number("AXIS=M with a number M", math.isfinite)(value)
 
 
-def _path(text: str) -> Path:
-    """Return a path; an empty one would be the current folder."""
+def _path(text: str, kind: Callable[[str], Path] = Path) -> Path:
+    """Return a path of a `kind`; an empty one would be the current folder."""
     if not text:
         raise argparse.ArgumentTypeError("must not be empty")
-    return Path(text)
+    return kind(text)
 
 
 def _name(text: str) -> str:
@@ -121,7 +122,7 @@ TYPES: Mapping[str, Callable[[str], object]] = {
     "int": int,
     "float": float,
     "path": _path,
-    "location": lambda text: location(str(_path(text))),
+    "location": partial(_path, kind=location),
     "name": _name,
     "words": lambda text: text.split(","),
     "plane": _plane,
@@ -171,7 +172,9 @@ def inputs_of(args: argparse.Namespace) -> Iterator[Path]:
             if isinstance(path, Path):
                 yield path
                 if getattr(args, "force", False) and not isinstance(path, Url) and path.is_dir():
-                    yield from (file for file in path.rglob("*") if file.suffix in {".mcap", ".db3", ".bag"})
+                    from scara_effmass.bags.files import is_bag_name  # noqa: PLC0415 - loads rosbags
+
+                    yield from (file for file in path.rglob("*") if is_bag_name(file))
 
 
 def shell_path(path: Path) -> str:

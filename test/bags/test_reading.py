@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import zstandard
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.data_stream import RecordBuilder
@@ -29,7 +30,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from scara_effmass.bags.bag import Bag, run_infos
 from scara_effmass.bags.definitions import known_types
-from scara_effmass.bags.files import find_bags, open_bag
+from scara_effmass.bags.files import bag_bytes, find_bags, open_bag
 from scara_effmass.errors import BagError
 from scara_effmass.values import JointState, RunInfo
 from scara_effmass.wire.joint_state import JointStateDecoder, joint_state_message
@@ -614,6 +615,42 @@ class TestFolder:
         assert find_bags(several) == names
         with pytest.raises(BagError, match=r"contains 4 bags: must be one of them \(a\.db3"):
             open_bag(several)
+
+    def test_bags_are_found_in_every_folder_and_with_suffixes_in_any_case(self, tmp_path: Path) -> None:
+        def folder(*parts: str) -> Path:
+            path = tmp_path.joinpath(*parts)
+            path.mkdir(parents=True)
+            return path
+
+        names = [
+            write_rosbag2(folder("a", "b") / "bag", MIXED, StoragePlugin.MCAP),
+            write_mcap(folder("a", "lost") / "renamed.mcap", MIXED),
+            write_mcap(tmp_path / "m.MCAP", MIXED),
+            write_mcap(tmp_path / "n.mcap.active", MIXED),
+            single_db3(folder(".parts"), MIXED).rename(tmp_path / "o.DB3"),
+            write_ros1(tmp_path / "p.BAG", MIXED),
+            tmp_path / "q.mcap.ZST",
+            tmp_path / "r.mcap",
+        ]
+        names[-2].write_bytes(zstandard.compress(names[2].read_bytes()))
+        names[-1].symlink_to(tmp_path / "nowhere")
+        write_mcap(folder(".hidden") / "s.mcap", MIXED)
+        (tmp_path / "a" / "again").symlink_to(tmp_path)
+        assert find_bags(tmp_path) == names
+        for path in names[:-1]:
+            with open_bag(path) as bag:
+                assert sum(topic.count for topic in bag.topics) == len(MIXED)
+        assert sum(map(bag_bytes, names)) > 0
+        with pytest.raises(BagError, match=r"r\.mcap: does not exist"):
+            open_bag(names[-1])
+
+    def test_bag_inside_of_a_bag_is_named(self, folder: Path) -> None:
+        write_mcap(folder / "walk.mcap", MIXED)
+        (folder / "old").mkdir()
+        other = write_mcap(folder / "old" / "run.mcap", MIXED)
+        assert find_bags(folder) == [folder]
+        with open_bag(folder) as bag:
+            assert f"{other}: lies in the bag {folder}; not read" in bag.losses
 
 
 class TestDefinitions:
