@@ -9,14 +9,16 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
+from glob import escape
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
-from pydantic import Field, InstanceOf, TypeAdapter
+from pydantic import Field, InstanceOf, TypeAdapter, ValidationError
 
 from scara_effmass import __version__
 from scara_effmass.analysis.assessment import (
@@ -34,7 +36,7 @@ from scara_effmass.analysis.output import atomic_file, check_output_path
 from scara_effmass.analysis.summary import Summary, iso_time
 from scara_effmass.analysis.tables import AssessmentWriter, open_writer, provenance
 from scara_effmass.analysis.time_series import TimeSeries, TimeSeriesBuilder
-from scara_effmass.bags.files import open_bag
+from scara_effmass.bags.files import bag_bytes, open_bag
 from scara_effmass.errors import BagError, OutputError
 from scara_effmass.input_files import digest
 from scara_effmass.reference import RobotDynamics
@@ -150,13 +152,32 @@ class Record(NamedTuple):
 
 
 _RECORD = TypeAdapter(Record, config={"ser_json_inf_nan": "constants"})
-_PART = re.compile(r"cell=[^/]+/day=[^/]+/[^/]+-(?P<content>[0-9a-f]{16})\.parquet")
+_PART = re.compile(r"(?P<cell>cell=[^/]+)/day=[^/]+/[^/]+-(?P<content>[0-9a-f]{16})\.parquet")
 _COUNTS = {"joint_states", "foreign", "refused"}
 
 
 def cell_of(path: Path) -> str:
     """Return the cell of a recording by the folder `cell=NAME` that contains it, UNKNOWN_CELL without one."""
     return next((part[5:] for part in reversed(path.parts) if part.startswith("cell=")), UNKNOWN_CELL)
+
+
+def without_copies(paths: Sequence[Path], cell: str | None) -> tuple[list[Path], list[tuple[str, str]]]:
+    """Return `paths` without those of the same content as an earlier one in its cell, and a line about each copy.
+
+    `cell` is that of `assess_part`, None for `cell_of`.
+    """
+    kinds = [(cell or cell_of(path), bag_bytes(path)) for path in paths]
+    counts, notes = Counter(kinds), list[tuple[str, str]]()
+    first: dict[tuple[object, ...], Path] = {}
+    for path, kind in zip(paths, kinds, strict=True):
+        content = str(path)
+        if counts[kind] > 1:
+            with suppress(BagError):  # the assessment names it
+                content = _hash_of(path)
+        original = first.setdefault((*kind, content), path)
+        if original is not path:
+            notes.append(("counted once", f"{path}: same content as {original}"))
+    return [*first.values()], notes
 
 
 def assess_part(
@@ -172,27 +193,26 @@ def assess_part(
     """Assess the bag at `path` into `folder`/cell=`cell`/day=DAY/, unless that was done; return the result.
 
     It was done if bag, cell, settings, robot and version have the same hashes, and the part is as it was written; a
-    cross-check assesses again. Raises BagError, SettingsError, and OutputError if anything but the bag differs, unless
-    `overwrite`, or if the earlier result is damaged.
+    cross-check assesses again, and so does a damaged result. Raises BagError, SettingsError, and OutputError if
+    anything but bag and cell differs, unless `overwrite`.
     """
     content = _hash_of(path)
     inputs = [content, task.settings.model_dump_json(), digest(Path(task.settings.robot_path), BagError), __version__]
     inputs += sorted(task.settings.model_fields_set)  # the others are assumed
     inputs += [task.time.value, str(task.topic), cell, _hash_of(task.velocity_bag) if task.velocity_bag else ""]
     key = hashlib.sha256(json.dumps(inputs).encode()).hexdigest()
-    file = folder / RECORDS / f"{content[:16]}.json"
+    file = folder / RECORDS / f"cell={cell}" / f"{content[:16]}.json"
     notes: list[tuple[str, str]] = []
     check_output_path(file, overwrite=True)
     if file.exists():
-        record = _read_record(file, folder)
-        earlier = folder / record.part
-        if record.key != key:
+        record = _read_record(file, folder, overwrite=overwrite)
+        if record is None:
+            notes.append(("assessed again", f"{file}: was damaged, or of another version"))
+        elif record.key != key:
             if not overwrite:
-                problem = "is of another cell, other settings, robot or version; use --force to replace it"
-                raise OutputError(f"{earlier}: {problem}")
-            if not isinstance(folder, Url) and earlier.is_file():
-                earlier.unlink()
-        elif earlier.is_file():
+                problem = "is of other settings, robot or version; use --force to replace it"
+                raise OutputError(f"{folder / record.part}: {problem}")
+        elif (earlier := folder / record.part).is_file():
             is_as_written = _hash_of(earlier) == record.part_hash
             if is_as_written and not task.cross_check:
                 advance(1.0)
@@ -205,6 +225,7 @@ def assess_part(
     origin = provenance(task.settings, dynamics.robot.origin, [path])
     with open_writer(folder / part, origin, dynamics.robot.base_frame, overwrite=True) as table:
         result = assess_bag(path, task, dynamics, table, advance)
+    _remove_other_parts(folder, part)
     with atomic_file(file, overwrite=True) as unfinished:
         unfinished.write_bytes(_RECORD.dump_json(Record(key, part, _hash_of(folder / part), result)))
     result.notes = [*result.notes, *notes]
@@ -220,16 +241,33 @@ def remove_unfinished(folder: Path, bags: Iterable[Path]) -> None:
             file.unlink(missing_ok=True)
 
 
-def _read_record(file: Path, folder: Path) -> Record:
-    """Return the result in `file`, whose part is in `folder` and nowhere else. Raises OutputError."""
+def _remove_other_parts(folder: Path, part: str) -> None:
+    """Remove from a local `folder` the other parts of the recording and cell of `part`: of another name or day."""
+    name = _PART.fullmatch(part)
+    if isinstance(folder, Url) or name is None:
+        return
+    for other in folder.glob(f"{escape(name['cell'])}/day=*/*-{name['content']}.parquet"):
+        if other != folder / part and other.resolve().is_relative_to(folder.resolve()):
+            other.unlink()
+
+
+def _read_record(file: Path, folder: Path, *, overwrite: bool) -> Record | None:
+    """Return the result in `file`, whose part is in `folder` and nowhere else; None if it is damaged.
+
+    Raises OutputError for one of another version, unless `overwrite`, which takes it for a damaged one.
+    """
     try:
         with file.open("rb") as stream:
             record: Record = _RECORD.validate_json(stream.read())
         _check_record(record, file, folder)
     except OSError as error:
         raise OutputError(f"{file}: cannot be read: {error.strerror or error}") from None
-    except (ValueError, LookupError, TypeError, ArithmeticError):
-        raise OutputError(f"{file}: must be a result of this version; choose another folder") from None
+    except (ValueError, LookupError, TypeError, ArithmeticError) as error:
+        is_no_json = isinstance(error, ValidationError) and error.errors()[0]["type"] == "json_invalid"
+        if overwrite or is_no_json:
+            return None
+        problem = "must be a result of this version: remove it, or use --force to assess again"
+        raise OutputError(f"{file}: {problem}") from None
     return record
 
 
@@ -239,7 +277,7 @@ def _check_record(record: Record, file: Path, folder: Path) -> None:
     A dataset may come from anywhere: its part must be of this recording and in `folder`, also behind symbolic links.
     """
     name = _PART.fullmatch(record.part)
-    if name is None or name["content"] != file.stem:
+    if name is None or (name["cell"], name["content"]) != (file.parent.name, file.stem):
         raise ValueError(record.part)
     if not isinstance(folder, Url) and not (folder / record.part).resolve().is_relative_to(folder.resolve()):
         raise ValueError(record.part)

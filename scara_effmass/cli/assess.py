@@ -15,7 +15,15 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from scara_effmass.analysis.assessment import Time, input_lines
-from scara_effmass.analysis.dataset import BagResult, BagTask, assess_bag, assess_part, cell_of, remove_unfinished
+from scara_effmass.analysis.dataset import (
+    BagResult,
+    BagTask,
+    assess_bag,
+    assess_part,
+    cell_of,
+    remove_unfinished,
+    without_copies,
+)
 from scara_effmass.analysis.output import check_output_path
 from scara_effmass.analysis.summary import MAX_UNKNOWN_SHARE, Summary
 from scara_effmass.analysis.tables import MARKS, open_writer, provenance
@@ -69,14 +77,14 @@ def assess(
     settings = monitor_settings(args)
     robot = (dynamics := load_dynamics(settings)).robot
     Monitor(dynamics, settings)  # raises for missing limits before any file is written
-    paths = [path for folder in args.bags for path in find_bags(folder)]
+    paths, copies = _recordings(args)
     task = BagTask(settings, Time(args.time), args.topic, args.velocity_bag, bool(args.report), args.cross_check)
     summary = Summary(round(settings.timeout * 1e9))
     counts = dict.fromkeys(("joint_states", "foreign", "refused"), 0)
     losses, unreadable, unmodelled = list[str](), list[str](), list[str]()
     if args.velocity_bag and len(paths) > 1:
         raise SettingsError(f"--velocity-bag = {args.velocity_bag}: must belong to one recording, not to {len(paths)}")
-    input_notes = list(input_lines(settings, task.time, args.velocity_bag))
+    input_notes = [*copies, *input_lines(settings, task.time, args.velocity_bag)]
     if not args.output.suffix and (args.report or args.properties):
         raise SettingsError(f"--report, --properties: must be left out for a dataset, {args.output}")
     report = _open_report(args, settings, len(paths) * len(dynamics.contact_points)) if args.report else None
@@ -122,6 +130,12 @@ def assess(
     is_bad = unreadable or summary.only_unknown or any(check.violations for check in checks)
     is_bad = is_bad or _share_beyond_limits(summary, settings) > 0.0
     return Assessment(printed, [*lines, *written], int(bool(is_bad)))
+
+
+def _recordings(args: argparse.Namespace) -> tuple[list[Path], list[tuple[str, str]]]:
+    """Return the recordings, for a dataset without copies, and a line about each copy. Raises BagError."""
+    paths = [path for folder in args.bags for path in find_bags(folder)]
+    return (paths, []) if args.output.suffix else without_copies(paths, args.cell)
 
 
 def _assess_part(

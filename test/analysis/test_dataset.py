@@ -3,14 +3,24 @@
 
 import json
 import os
+import shutil
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from scara_effmass.analysis.dataset import RECORDS, BagResult, BagTask, Record, assess_part, remove_unfinished
+from scara_effmass.analysis.dataset import (
+    RECORDS,
+    BagResult,
+    BagTask,
+    Record,
+    assess_part,
+    remove_unfinished,
+    without_copies,
+)
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import OutputError
@@ -67,24 +77,66 @@ def test_a_deleted_part_is_assessed_again(assess: Assess, tmp_path: Path) -> Non
 def test_other_settings_replace_a_part_only_with_overwrite(assess: Assess, tmp_path: Path) -> None:
     assess()
     other = BagTask(MonitorSettings(body_regions=("chest",)))
-    with pytest.raises(OutputError, match="is of another cell, other settings"):
+    with pytest.raises(OutputError, match="is of other settings, robot or version"):
         assess(other)
     content = part(tmp_path).read_bytes()
     assess(other, overwrite=True)
     assert part(tmp_path).read_bytes() != content
 
 
-@pytest.mark.parametrize("text", ["", "{}", '{"key": 1}'])
-def test_a_result_that_cannot_be_read_is_refused(assess: Assess, tmp_path: Path, text: str) -> None:
+@pytest.mark.parametrize(("text", "is_damaged"), [("", True), ("{", True), ("{}", False), ('{"key": 1}', False)])
+def test_a_result_that_cannot_be_used_is_assessed_again_and_said(
+    assess: Assess, tmp_path: Path, text: str, *, is_damaged: bool
+) -> None:
+    counts = assess().counts
+    file = record(tmp_path)
+    file.write_text(text)
+    if not is_damaged:
+        with pytest.raises(OutputError, match=rf"{file}: must be a result of this version: remove it, or use --force"):
+            assess()
+    again = assess(overwrite=not is_damaged)
+    assert again.counts == counts
+    assert again.notes == [("assessed again", f"{file}: was damaged, or of another version")]
+    assert assess().notes == []
+
+
+def test_a_renamed_recording_has_one_part(
+    assess: Assess, recording: Path, tmp_path: Path, dynamics: RobotDynamics
+) -> None:
     assess()
-    (record,) = (tmp_path / RECORDS).iterdir()
-    record.write_text(text)
-    with pytest.raises(OutputError, match="must be a result of this version"):
-        assess(overwrite=True)
+    part(tmp_path).write_bytes(b"PAR1")
+    renamed = recording.rename(recording.with_name("renamed"))
+    try:
+        assess_part(tmp_path, renamed, "A7", TASK, dynamics, lambda *_: None, overwrite=False)
+    finally:
+        renamed.rename(recording)
+    assert part(tmp_path).name.startswith("renamed-")
+
+
+def test_a_recording_of_two_cells_has_two_parts(
+    assess: Assess, recording: Path, tmp_path: Path, dynamics: RobotDynamics
+) -> None:
+    first = assess()
+    second = assess_part(tmp_path, recording, "B", TASK, dynamics, lambda *_: None, overwrite=True)
+    assert second.counts == first.counts
+    assert [path.parts[-3] for path in sorted(tmp_path.glob("cell=*/day=*/*.parquet"))] == ["cell=A7", "cell=B"]
+    assert len([*tmp_path.glob(f"{RECORDS}/cell=*/*.json")]) == len(("A7", "B"))
+
+
+def test_the_same_content_counts_once_in_each_cell(recording: Path, tmp_path: Path) -> None:
+    paths = [tmp_path / cell / name for cell in ("cell=A", "cell=B") for name in ("x", "y")]
+    for path in paths:
+        shutil.copytree(recording, path)
+    kept, notes = without_copies(paths, None)
+    assert kept == paths[::2]
+    assert notes == [
+        ("counted once", f"{copy}: same content as {path}") for path, copy in zip(kept, paths[1::2], strict=True)
+    ]
+    assert without_copies(paths, "C")[0] == paths[:1]
 
 
 def record(folder: Path) -> Path:
-    (path,) = (folder / RECORDS).iterdir()
+    (path,) = folder.glob(f"{RECORDS}/cell=*/*.json")
     return path
 
 
@@ -122,7 +174,7 @@ def test_a_result_never_names_a_file_of_others(
     for file in (outside, beside):
         file.write_text("mine")
     change_record(tmp_path, key="other", part=name.format(outside=outside, hash=outside.name))
-    with pytest.raises(OutputError, match="must be a result of this version"):
+    with nullcontext() if overwrite else pytest.raises(OutputError, match="must be a result of this version"):
         assess(overwrite=overwrite)
     assert outside.read_text() == beside.read_text() == "mine"
     beside.unlink()
