@@ -229,7 +229,11 @@ def test_values_are_read_as_ros_reads_them(folder: Path) -> None:
             "payload_com: [0, 0, 1]",
             r"payload_com = .*: must be DOUBLE_ARRAY, is INTEGER_ARRAY: write \[0.0, 0.0, 1.0\]",
         ),
-        ("payload_com: [0.1, 0, 1]", "payload_com = .*: must be DOUBLE_ARRAY, is a mixed list"),
+        (
+            "payload_com: [0.1, 0, 1]",
+            r"payload_com = .*: must be DOUBLE_ARRAY, is a mixed list: write \[0.1, 0.0, 1.0\]",
+        ),
+        ("payload_com: [0.1, x, 1]", "payload_com = .*: must be DOUBLE_ARRAY, is a mixed list$"),
         ("servo: {damping: 1}", "servo.damping = 1: must be DOUBLE, is INTEGER: write 1.0"),
         ("robot: 12", "robot = 12: must be STRING, is INTEGER: YAML needs quotes"),
         ("person_speeds: 1.0", "person_speeds: unknown: must be person_speed"),
@@ -276,13 +280,40 @@ def test_list_may_be_empty_and_a_number_may_have_an_exponent(folder: Path) -> No
         "/cell/monitor:\n  ros__parameters: {timeout: 0.1}\n",
         "/cell:\n  monitor:\n    ros__parameters: {timeout: 0.1}\n",
         "/**/monitor:\n  ros__parameters: {timeout: 0.1}\n/cell/daq:\n  ros__parameters: {timeout: 5}\n",
+        "/cell/*:\n  ros__parameters: {timeout: 0.1}\n/cell/monitor:\n  ros__parameters: {}\n",
     ],
-    ids=["ros2 param dump", "levels", "any namespace"],
+    ids=["ros2 param dump", "levels", "any namespace", "one level"],
 )
 def test_parameters_of_a_node_in_a_namespace_count(folder: Path, text: str) -> None:
     path = folder / "cell.yaml"
     path.write_text(text, encoding="utf-8")
     assert load_settings(MonitorSettings, path, "monitor") == MonitorSettings(timeout=0.1)
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("/*/monitor:\n  ros__parameters: {timeout: 0.1}\n", r"/\*/monitor: must be /monitor or /\*\*/monitor"),
+        ("/a/**:\n  ros__parameters: {timeout: 0.1}\n", r"/a/\*\*: must be /monitor or /\*\*/monitor"),
+        (
+            "/a/monitor:\n  ros__parameters: {}\n/b/*:\n  ros__parameters: {timeout: 0.1}\n",
+            r"/b/\*: must be /a/monitor or /\*\*/monitor",
+        ),
+        (
+            "monitor:\n  ros__parameters: {servo.bandwidth: 9.0, servo: {bandwidth: 3.0}}\n",
+            "monitor: servo.bandwidth: must be stated once",
+        ),
+        (
+            "a:\n  monitor:\n    ros__parameters: {timeout: 0.1}\na/monitor:\n  ros__parameters: {timeout: 0.2}\n",
+            "a/monitor: must be stated once",
+        ),
+    ],
+)
+def test_parameters_that_ros_would_take_otherwise_are_refused(folder: Path, text: str, problem: str) -> None:
+    path = folder / "cell.yaml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(SettingsError, match=rf"^{path}: {problem}$"):
+        load_settings(MonitorSettings, path, "monitor")
 
 
 def test_parameters_of_the_node_in_several_namespaces_are_refused(folder: Path) -> None:

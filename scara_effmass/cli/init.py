@@ -123,7 +123,7 @@ def _interview(
         names = choices.get(name, option.keywords.get("choices"))
         print_lines([(f"{name}: ", option.keywords["help"]), *([("", f"of {', '.join(names)}")] if names else [])])
         several = "several by commas; " if option.keywords.get("action") else ""
-        while text := input(f"  ({several}Enter: default) ").strip():
+        while text := _answer(f"  ({several}Enter: default) "):
             try:
                 setattr(args, name, _value(option, text))
                 checked = _checked(args)
@@ -136,6 +136,16 @@ def _interview(
                 print_lines([("", error)])
     answers = {name: getattr(settings, name) for name in asked if name in _cell_names()}
     return settings.model_copy(update=answers), dynamics
+
+
+def _answer(prompt: str) -> str:
+    """Return the line that the user enters. Raises KeyboardInterrupt at the end of the input."""
+    try:
+        line = input(prompt)
+    except EOFError:
+        print()  # noqa: T201 - ends the line of the prompt
+        raise KeyboardInterrupt from None
+    return line.encode(errors="surrogateescape").decode(errors="replace").strip()
 
 
 def _value(option: Option, text: str) -> Any:  # noqa: ANN401 - as argparse

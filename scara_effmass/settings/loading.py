@@ -109,7 +109,7 @@ def check_types(kind: type[BaseModel], values: Mapping[str, Any], origin: str) -
             hint = number_rule(value).removeprefix("must be a number")
         elif expected == f"{stated}_ARRAY":
             hint = f": write [{value}]"
-        elif expected == "DOUBLE_ARRAY" and stated == "INTEGER_ARRAY":
+        elif expected == "DOUBLE_ARRAY" and isinstance(value, Sequence) and {*map(type, value)} <= {int, float}:
             hint = f": write {list(map(float, value))}"
         raise SettingsError(f"{origin}: {name} = {reprlib.repr(value)}: must be {expected}, is {stated}{hint}")
 
@@ -157,7 +157,8 @@ def load_settings(
 
     The file contains `/**`, `node`, or `node` in a namespace, over `ros__parameters`, as written by `ros2 param dump`.
     Parameters of other nodes are ignored; a file that is only for `other_nodes` gives the defaults. Raises
-    SettingsError, also `of_one_cell` for a file with the node in several namespaces.
+    SettingsError, also `of_one_cell` for a file with the node in several namespaces, or with a section that ROS would
+    not give to it.
     """
     if path is None:
         return kind()
@@ -166,7 +167,10 @@ def load_settings(
     cells = [name for name, _ in sections if "*" not in name]
     if of_one_cell and len(cells) > 1:
         raise SettingsError(f"{path}: holds {', '.join(cells)}: must hold {node} once, or in /**")
+    own = f"/{cells[0].strip('/')}" if cells else f"/{node}"
     for name, stated in sections:
+        if of_one_cell and not applies(name, own):
+            raise SettingsError(f"{path}: {name}: must be {own} or /**/{node}")
         foreign = {key for key in stated if key in NODE_ONLY - kind.model_fields.keys()}
         foreign |= {key for key in stated if owner_of(name) == "**" and is_foreign(key, kind)}
         parameters |= {key: value for key, value in stated.items() if key not in foreign}
@@ -184,14 +188,24 @@ def parameter_sections(
     document = read_yaml(path, SettingsError)
     if not isinstance(document, dict) or not document:
         raise SettingsError(f"{path}: must hold {node} (or /**) over ros__parameters")
-    found = dict(_sections(document))
+    found = _stated_once(_sections(document), f"{path}")
     sections = [name for name in found if owner_of(name) in {"**", node}]
     if not sections and other_nodes is not None and not set(other_nodes).intersection(map(owner_of, found)):
         raise SettingsError(f"{path}: holds {', '.join(map(str, document))}: must hold {node} (or /**)")
     for name in sections:
         if not isinstance(found[name], dict) or not isinstance(found[name].get("ros__parameters"), dict):
             raise SettingsError(f"{path}: {name}: must hold ros__parameters")
-    return [(name, _flat(found[name]["ros__parameters"])) for name in sections]
+    return [(name, _stated_once(_flat(found[name]["ros__parameters"]), f"{path}: {name}")) for name in sections]
+
+
+def _stated_once(items: Iterable[tuple[str, Any]], origin: str) -> dict[str, Any]:
+    """Return `items` by name. Raises SettingsError for a name written in two ways, of which ROS takes the last."""
+    values: dict[str, Any] = {}
+    for name, value in items:
+        if name in values:
+            raise SettingsError(f"{origin}: {name}: must be stated once")
+        values[name] = value
+    return values
 
 
 def _sections(document: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -209,8 +223,9 @@ def _holds_sections(content: Mapping[str, Any]) -> bool:
 
 
 def owner_of(section: str) -> str:
-    """Return the node, or **, of a `section` such as /cell/monitor."""
-    return str(section).rpartition("/")[2]
+    """Return the node of a `section` such as /cell/monitor, or ** for any one."""
+    owner = str(section).rpartition("/")[2]
+    return "**" if owner == "*" else owner
 
 
 def applies(section: str, node: str) -> bool:
@@ -229,11 +244,13 @@ def is_foreign(name: str, kind: type[BaseModel]) -> bool:
     return not (own or get_close_matches(name, fields, n=1, cutoff=0.8))
 
 
-def _flat(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return `values` with nested mappings turned into dotted keys."""
-    groups = {key: _flat(value) if isinstance(value, dict) else {} for key, value in values.items()}
-    flat = {key: value for key, value in values.items() if not isinstance(value, dict)}
-    return flat | {f"{key}.{name}": value for key, group in groups.items() for name, value in group.items()}
+def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the `values` by name; nested mappings turn into dotted names."""
+    for key, value in values.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield (f"{prefix}{key}" if prefix else key), value
 
 
 def _grouped(values: Mapping[str, Any]) -> dict[str, Any]:
