@@ -25,6 +25,8 @@ NAN = float("nan")
 NO_MOBILITY: Mobility6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 RANGE_TOLERANCE = 1e-3
 """A sample this close to the end of the range, as a share of it, is saturated: the converter's codes end just below."""
+MAX_DIGITS = 6
+"""Largest number of decimals of a speed."""
 MAX_LOST_SAMPLES = 2**32 - 1
 """Largest value of `ForceBlock.lost_samples`."""
 MAX_VERTICES = 16
@@ -58,6 +60,13 @@ def at_most(value: float, digits: int) -> str:
 def at_least(value: float, digits: int) -> str:
     """Return an actual value as text, its size rounded up to `digits` decimals: the text shows no less."""
     return _rounded(value, digits, ROUND_UP)
+
+
+def speed_texts(speed: float, allowable_speed: float, digits: int = 3) -> tuple[str, str]:
+    """Return a speed and its allowable speed as text, with more digits where an allowed speed would look too high."""
+    texts = at_least(speed, digits), at_most(allowable_speed, digits)
+    is_crossed = speed <= allowable_speed and float(texts[0]) > float(texts[1])
+    return speed_texts(speed, allowable_speed, digits + 1) if is_crossed and digits < MAX_DIGITS else texts
 
 
 def _rounded(value: float, digits: int, rounding: str) -> str:
@@ -173,7 +182,7 @@ class ContactAssessment(NamedTuple):
     @property
     def speed_text(self) -> str:
         """Speed of allowable speed as text."""
-        return f"{at_least(self.speed, 3)} of {at_most(self.allowable_speed, 3)} m/s"
+        return "{} of {} m/s".format(*speed_texts(self.speed, self.allowable_speed))
 
     @property
     def mass_model_text(self) -> str:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scara_effmass.values import at_least, at_most, limit_share
+from scara_effmass.values import at_least, at_most, limit_share, speed_texts
 
 NOISE = 1.0 + 1e-11
 
@@ -42,3 +42,19 @@ def test_examples(value: float, allowed: str, actual: str) -> None:
 
 def test_nothing_allowed_is_the_largest_share() -> None:
     assert limit_share(0.0, 0.0) == math.inf > limit_share(9.0, 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("speed", "allowable", "texts"),
+    [
+        (0.1, 0.2, ("0.100", "0.200")),
+        (0.5962, 0.5968, ("0.5962", "0.5968")),
+        (0.111451, 0.111459, ("0.111451", "0.111459")),
+        (0.5968, 0.5962, ("0.597", "0.596")),
+        (0.2, 0.2, ("0.200", "0.200")),
+        (math.nan, 0.2, ("nan", "0.200")),
+        (1 / 3, 1 / 3, ("0.333334", "0.333333")),
+    ],
+)
+def test_allowed_speed_never_looks_too_high(speed: float, allowable: float, texts: tuple[str, str]) -> None:
+    assert speed_texts(speed, allowable) == texts

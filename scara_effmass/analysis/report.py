@@ -37,7 +37,7 @@ from scara_effmass.errors import OutputError
 from scara_effmass.input_files import digest
 from scara_effmass.iso15066 import EDITION, TABLE_HASH
 from scara_effmass.settings.loading import flat_fields
-from scara_effmass.values import at_least, at_most
+from scara_effmass.values import at_least, at_most, speed_texts
 
 TEMPLATES = Path(__file__).parent / "templates"
 ENGLISH = "en"
@@ -164,6 +164,7 @@ def environment(language: str) -> Environment:
         "percent": lambda share: f"{share:.1%}",
         "at_least": at_least,
         "at_most": at_most,
+        "speed_texts": speed_texts,
         "signed": signed,
     }
     return made

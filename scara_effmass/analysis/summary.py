@@ -20,7 +20,7 @@ from scara_effmass.codes import Reason
 from scara_effmass.kernel.state import CODE
 from scara_effmass.safety.assessments import Records
 from scara_effmass.safety.remedies import remedy
-from scara_effmass.values import BoolArray, ContactAssessment, Verdict, at_least, at_most
+from scara_effmass.values import BoolArray, ContactAssessment, Verdict, at_most, speed_texts
 
 NUMBER = re.compile(r"(?<![\w.])-?\d+(\.\d+)?(e[-+]?\d+)?(?![\w])")
 """Numbers in a reason, but no digits in names; reasons that differ only in numbers are counted together."""
@@ -88,7 +88,7 @@ class TightestMargin(NamedTuple):
     def lines(self) -> Iterator[tuple[str, str]]:
         """Yield subject and text of each line."""
         contact = self.contact
-        speeds = f"{at_least(contact.speed, 3)} m/s where {at_most(contact.allowable_speed, 3)} m/s is allowable"
+        speeds = "{} m/s where {} m/s is allowable".format(*speed_texts(contact.speed, contact.allowable_speed))
         yield "tightest margin", f"{signed(contact.margin)} m/s ({contact.verdict.name}): {speeds}"
         source = f" in {self.source}" if self.source else ""
         yield "  where", f"{contact.contact_point} at {iso_time(self.stamp_ns)}{source}"

@@ -13,7 +13,7 @@ from scara_effmass.model.lumping import lumped_suffices
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety.assumptions import Assumptions, scope
 from scara_effmass.settings import MonitorSettings
-from scara_effmass.values import FloatArray, at_least, at_most
+from scara_effmass.values import FloatArray, speed_texts
 
 NOT_DEFINITE = "the lumped mass matrix is singular or not positive definite at this pose"
 MASSLESS = "a joint moves the contact point, but no lumped mass"
@@ -193,8 +193,8 @@ class ReasonTexts:
         fields |= {"joint": self.joints[joint], "unit": self.units[joint]}
         is_speed = code in {Reason.TOO_FAST, Reason.NEAR_LIMIT, Reason.PERSON_TOO_FAST}
         if is_speed or code is Reason.SPEED_LIMIT:
-            digits = 3 if is_speed else 4
-            fields |= {"speed": at_least(numbers[0], digits), "allowed": at_most(numbers[1], digits)}
+            speed, allowed = speed_texts(numbers[0], numbers[1], 3 if is_speed else 4)
+            fields |= {"speed": speed, "allowed": allowed}
         if is_speed:
             fields |= {"criterion": CRITERIA[int(numbers[2])], "region": self.regions[int(numbers[3])]}
         elif code is Reason.CLAMPED:

@@ -124,7 +124,7 @@ def test_every_command_takes_the_file(cli: Cli, motion: Path, tmp_path: Path) ->
     assert result["cycles_by_verdict"]["UNKNOWN"] == 0
     assert '"y"' in (tmp_path / "a.csv").read_text(encoding="utf-8")
     refusal = cli("validate", motion, "-o", "report", *params)
-    assert "must hold scara_effmass_msgs/msg/ForceBlock" in refusal.stderr  # the parameters were accepted
+    assert "has no topic of type scara_effmass_msgs/msg/ForceBlock" in refusal.stderr  # the parameters were accepted
     mapped = cli("map", UR5, "-o", "map", "--samples", "100", *params)
     assert (mapped.returncode, json.loads(mapped.stdout)["contact_point"]) == (0, "ee_link")
 
@@ -218,6 +218,20 @@ def test_existing_file_is_kept_without_force(cli: Cli, refused: Refused, tmp_pat
     assert cli("init", "--force").returncode == 0
     written = load_settings(MonitorSettings, tmp_path / "cell.yaml", "monitor")
     assert (written, written.model_fields_set) == (MonitorSettings(), {"robot"})
+
+
+def test_centre_of_mass_without_a_payload_is_refused(refused: Refused, motion: Path) -> None:
+    com = ("--payload-com", "0", "0", "0.1")
+    for words in (("init", *com), ("assess", motion, "-o", "a.csv", *com, "--payload", "0")):
+        assert refused(*words).endswith("payload_com = [0.0, 0.0, 0.1]: must be 0 without payload_mass")
+
+
+def test_end_of_the_input_ends_the_questions(cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stdin", Terminal(b"\xff\n".decode(errors="surrogateescape")))
+    done = cli("init")
+    assert (done.returncode, done.stderr) == (130, "interrupted\n")
+    assert "\ufffd" in done.stdout
+    assert not (tmp_path / "cell.yaml").exists()
 
 
 class Terminal(io.StringIO):

@@ -238,6 +238,15 @@ def test_tour_gets_every_verdict_and_passes_singular_poses() -> None:
     assert any(c.mass_capped for c in usable)
 
 
+@pytest.mark.parametrize(("recording", "name"), [("tour", "tour"), ("straight_300_200", "straight line")])
+def test_shares_of_the_verdicts_are_those_of_the_page(recording: str, name: str) -> None:
+    verdicts = [decision.verdict for decision in assess(recording)][:-1]  # each lasts until the next
+    shares = [(verdict, verdicts.count(verdict) / len(verdicts)) for verdict in (*list(Verdict)[1:], Verdict.UNKNOWN)]
+    *first, last = [f"{share:.1%} {verdict.name}".replace("%", " %") for verdict, share in shares if share]
+    text = " ".join((BAGS / "README.md").read_text(encoding="utf-8").split())
+    assert f"the {name} is {', '.join(first)} and {last}" in text
+
+
 def test_straight_recording_is_ok_with_the_papers_mass() -> None:
     contacts = [decision.contacts[0] for decision in assess("straight_300_200")]
     known = [c for c in contacts if c.verdict is not Verdict.UNKNOWN]
