@@ -74,6 +74,7 @@ class RunHistory:
     def __init__(self, obstacle_mass: float, configuration: str, normal: Vector3 | None = None) -> None:
         self._runs = [Run(0, obstacle_mass, configuration, normal)]
         self._defaults = self._runs[0]
+        self._forgotten_ns = 0
 
     def set(
         self,
@@ -89,23 +90,26 @@ class RunHistory:
         self._defaults = self._defaults._replace(**changes)
         self._insert(self.at(since_ns)._replace(since_ns=since_ns, **changes))
 
-    def begin(self, info: RunInfo, received_ns: int) -> None:
-        """Begin the run that `info` describes; values that it does not state are those of the settings.
+    def begin(self, info: RunInfo, received_ns: int) -> int:
+        """Begin the run that `info` describes and return since when [ns]; the settings have what it does not state.
 
-        Raises SettingsError for an invalid value; then the obstacle mass is unknown.
+        It begins no earlier than the obstacle was forgotten. Raises SettingsError for an invalid value; then the
+        obstacle mass is unknown.
         """
         try:
             check_run_info(info)
         except SettingsError:
             self.forget_obstacle(received_ns)
             raise
-        defaults, since_ns = self._defaults, info.stamp_ns or received_ns
+        defaults, since_ns = self._defaults, max(info.stamp_ns or received_ns, self._forgotten_ns)
         mass, configuration = info.obstacle_mass or defaults.obstacle_mass, info.configuration or defaults.configuration
         normal = _unit(info.plate_normal) or defaults.normal
         self._insert(Run(since_ns, mass, configuration, normal, _unit(info.guide_direction)))
+        return since_ns
 
     def forget_obstacle(self, since_ns: int) -> None:
         """Begin a run with an unknown obstacle mass."""
+        self._forgotten_ns = since_ns
         self._insert(self.at(since_ns)._replace(since_ns=since_ns, obstacle_mass=0.0))
 
     def at(self, stamp_ns: int) -> Run:
@@ -119,7 +123,7 @@ class RunHistory:
 
     def restart(self) -> None:
         """Keep only the latest run, valid from time 0, because the clock restarts."""
-        self._runs = [self._runs[-1]._replace(since_ns=0)]
+        self._runs, self._forgotten_ns = [self._runs[-1]._replace(since_ns=0)], 0
 
     def _insert(self, run: Run) -> None:
         run = run._replace(since_ns=max(run.since_ns, 0))

@@ -196,8 +196,7 @@ class Validator:
 
         They leave the series, because another obstacle was assumed. Raises SettingsError for an invalid value.
         """
-        self.runs.begin(info, received_ns)
-        since_ns = info.stamp_ns or received_ns
+        since_ns = self.runs.begin(info, received_ns)
         late = [
             match for match in self._matches[self._earlier :] if match.impact.stamp_ns >= since_ns > match.run.since_ns
         ]

@@ -25,8 +25,10 @@ from std_msgs.msg import Float64
 from scara_effmass.codes import Reason
 from scara_effmass.errors import DecodeError
 from scara_effmass.iso15066 import limits_for
+from scara_effmass.kernel.state import CODE
 from scara_effmass.model.robot import Robot
 from scara_effmass.nodes.diagnostics import Diagnostics, no_publisher, status
+from scara_effmass.nodes.latched_input import LatchedInput
 from scara_effmass.nodes.lifecycle import RCLError, run, with_info
 from scara_effmass.nodes.monitor_health import (
     Latencies,
@@ -57,7 +59,11 @@ _MAX_WAIT = 0.5
 """Share of the timeout that a joint state may wait; later, only the newest ones are answered."""
 _ACK_TIMEOUT = Duration(seconds=0.5)
 _MIN_REPORT_INTERVAL_NS = 100_000_000
-_CLOCK_CHECK_S = 0.1
+_CHECK_S = 0.1
+_RESTART_NS = 500_000_000
+"""Time for which the last joint state of a driver can come after the event of its end."""
+_RIVALRY_NS = 10_000_000_000
+"""Time without a joint state out of order after which several publishers do not all send the robot's joints."""
 
 
 class NodeSettings(RobotParameters):
@@ -100,6 +106,10 @@ class MonitorNode(RobotNode[NodeSettings]):
         self.own(self, MonitorNode._forget_robot)
         self._decoder = JointStateDecoder()
         self._received = self._skipped = self._skipped_before = 0
+        self._departed = self._departed_ns = 0
+        """Number of publishers of joint states that have gone, and when the last one did: monotonic time [ns]."""
+        self._rivals = self._rivals_ns = 0
+        """Number of publishers when two last sent the robot's joints, 0 if none do, and the monotonic time [ns]."""
         self._latencies = Latencies()
         self._latest: Assessments | None = None
         self._verdicts: list[float] = []
@@ -110,7 +120,6 @@ class MonitorNode(RobotNode[NodeSettings]):
         self._reported_ns = 0
         self._no_robot_reason = ""
         self._payload: Payload | str = ""
-        self._payload_publishers = 0
         self._load_estimate: Any = None
         self._load_doubt = Doubt()
         self.await_robot()
@@ -138,16 +147,11 @@ class MonitorNode(RobotNode[NodeSettings]):
                 JointState, topics.JOINT_COMMANDS, with_info(self._on_command), topics.JOINT_STATES_INPUT_QOS, raw=True
             )
         if topic := self.settings.payload_topic:
-            self.create_owned_subscription(
-                Inertia,
-                topic,
-                self._on_payload,
-                topics.DESCRIPTION_QOS,
-                raw=True,
-                matched=self._on_payload_publishers,
-            )
+            name, qos = f"the payload on {topic}", topics.DESCRIPTION_QOS
+            lost = partial(self._state_payload, f"no publishers of {name}: must be one")
+            LatchedInput(self, Inertia, topic, qos, self._on_payload, self._state_payload, name=name, lost=lost)
         self.create_owned_trigger("~/reset", self._reset)
-        self.create_steady_timer(_CLOCK_CHECK_S, self._check_clock)
+        self.create_steady_timer(_CHECK_S, self._check_publishers)
         every_step = JumpThreshold(min_forward=Duration(nanoseconds=1), min_backward=Duration(nanoseconds=-1))
         jump = self.get_clock().create_jump_callback(every_step, post_callback=self._on_clock_jump)
         self.own(jump, JumpHandle.unregister)
@@ -206,6 +210,7 @@ class MonitorNode(RobotNode[NodeSettings]):
             if doubt:
                 self._give_unknown(monitor, doubt)  # which is held for the release time
             self._monitor = monitor
+            self._distrust_rivals()
             self._pass_payload()
             self._encoder.frame_id = robot.base_frame
             self._no_robot_reason = ""
@@ -271,6 +276,8 @@ class MonitorNode(RobotNode[NodeSettings]):
             except DecodeError as error:
                 assessments = monitor.settle(monitor.refuse(Reason.UNDECODABLE, str(error), self.now_ns()))
             if assessments is not None:
+                if assessments.states["reason"][0, CODE] == Reason.SECOND_PUBLISHER:
+                    self._watch_rivals()
                 processing_ns = time.monotonic_ns() - start_ns
                 if processing_ns > self.settings.timeout * 1e9:
                     state, seconds = assessments.states[0], processing_ns / 1e9
@@ -281,6 +288,22 @@ class MonitorNode(RobotNode[NodeSettings]):
                 received_ns = info["received_timestamp"]
                 self._latencies.add(time.time_ns() - received_ns, int(assessments.states["stamp_ns"][0]))
                 self._publish_load(monitor)
+
+    def _watch_rivals(self) -> None:
+        """Note that several publishers send the robot's joints, unless one has gone: then the driver was restarted."""
+        has_restarted = self._departed_ns > self._last_answer_ns - _RESTART_NS
+        count = self.count_publishers(self._joint_states.topic_name)
+        if count > 1 and not has_restarted:
+            self._rivals, self._rivals_ns = count, time.monotonic_ns()
+            self._distrust_rivals()
+
+    def _distrust_rivals(self) -> None:
+        """Distrust the joint states until a publisher has gone, or for 10 s: a second one may send seldom."""
+        if time.monotonic_ns() - self._rivals_ns > _RIVALRY_NS:
+            self._rivals = 0
+        reason = f"{self._rivals} publishers of joint states: only one may send the robot's joints"
+        if self._monitor is not None:
+            self._monitor.distrust(topics.JOINT_STATES, reason if self._rivals else "")
 
     def _publish_load(self, monitor: Monitor) -> None:
         """Publish the load by the torques where there is a new estimate, and log what it begins or ceases to doubt."""
@@ -304,18 +327,11 @@ class MonitorNode(RobotNode[NodeSettings]):
                     self._monitor.take_command(command, self.now_ns(), number)
 
     def _on_payload(self, data: bytes) -> None:
-        if self._payload_publishers <= 1:
-            self._payload = decode_payload(data)
-            with self._monitor_lock:
-                self._pass_payload()
+        self._state_payload(decode_payload(data))
 
-    def _on_payload_publishers(self, matched: QoSSubscriptionMatchedInfo) -> None:
-        self._payload_publishers = count = matched.current_count
-        topic = self.settings.payload_topic
-        if count != 1:
-            self._payload = f"{count or 'no'} publishers of the payload on {topic}: must be one"
-        elif isinstance(self._payload, str):
-            self._payload = f"no payload from the publisher on {topic} yet"
+    def _state_payload(self, payload: Payload | str) -> None:
+        """Use the payload, or state why it is unknown."""
+        self._payload = payload
         with self._monitor_lock:
             self._pass_payload()
 
@@ -402,7 +418,7 @@ class MonitorNode(RobotNode[NodeSettings]):
             changes, self._changes = self._changes, []
         decision = self._latest.decision(0) if self._latest else None
         contacts = worst_contacts(decision, changes) if decision else ()
-        has_conflict = any(contact.reason_code is Reason.SECOND_PUBLISHER for contact in contacts)
+        has_conflict = bool(self._rivals) or any(contact.reason_code is Reason.SECOND_PUBLISHER for contact in contacts)
         statuses = [self._input_status(has_conflict=has_conflict)]
         statuses += [model_status(self._monitor)] if self._monitor else []
         input_age = decision.input_age if decision else 0.0
@@ -456,13 +472,14 @@ class MonitorNode(RobotNode[NodeSettings]):
             elif reason:
                 self._no_robot_reason = reason
 
-    def _check_clock(self) -> None:
-        """Trust /clock only while it has one publisher."""
+    def _check_publishers(self) -> None:
+        """Trust /clock only while it has one publisher, and the joint states while one sends those of the robot."""
         count = self.count_publishers(topics.CLOCK) if self.get_parameter("use_sim_time").value else 0
         reason = f"{count} publishers of {topics.CLOCK}: must be one" if count > 1 else ""
         with self._monitor_lock:
             if self._monitor is not None:
                 self._monitor.distrust(topics.CLOCK, reason)
+                self._distrust_rivals()
 
     def _reset(self) -> str:
         with self._monitor_lock:
@@ -484,6 +501,9 @@ class MonitorNode(RobotNode[NodeSettings]):
         self.get_logger().info("the clock went back or changed its source: the history of joint states is cleared")
 
     def _on_matched(self, matched: QoSSubscriptionMatchedInfo) -> None:
+        departed = matched.total_count - matched.current_count
+        if departed > self._departed:
+            self._departed, self._departed_ns, self._rivals = departed, time.monotonic_ns(), 0
         if matched.current_count > 1:
             topic = self._joint_states.topic_name
             self.get_logger().warning(

@@ -5,20 +5,19 @@ from dataclasses import replace
 from hashlib import sha256
 from typing import TypeVar
 
-from rclpy.qos import DurabilityPolicy
 from std_msgs.msg import String
 
 from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.model.load import build_robot, load_robot
 from scara_effmass.model.robot import Robot
 from scara_effmass.model.urdf import parse_urdf
+from scara_effmass.nodes.latched_input import LatchedInput
 from scara_effmass.nodes.lifecycle import LifecycleBase
 from scara_effmass.nodes.parameters import NodeParameters
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.wire import topics
 
 NO_DESCRIPTION = "no robot_description yet"
-_CHECK_S = 0.1
 _DIGITS = 8
 """Digits of the hash that tells descriptions apart."""
 
@@ -31,11 +30,7 @@ Parameters = TypeVar("Parameters", bound=RobotParameters)
 
 
 class RobotNode(LifecycleBase[Parameters]):
-    """Node with the robot of a file, or of the only publisher of robot_description.
-
-    While there are several publishers, none counts. When one is left, a new subscription gets its latched description,
-    which tells who is left.
-    """
+    """Node with the robot of a file, or of the only publisher of robot_description."""
 
     def use_robot(self, robot: Robot) -> None:
         """Work with `robot`, the first or another one. Raises EffmassError if that is impossible."""
@@ -65,42 +60,14 @@ class RobotNode(LifecycleBase[Parameters]):
         self.refuse_robot(NO_DESCRIPTION)
         self._description = ""
         """That of the robot in use, empty without one."""
-        self._several = 0
-        """Number of publishers, 0 if it is one."""
-        self._subscribe()
-        self.create_steady_timer(_CHECK_S, self._subscribe_again)
+        qos = topics.DESCRIPTION_QOS
+        LatchedInput(self, String, topics.ROBOT_DESCRIPTION, qos, self._on_description, self._on_publishers, raw=False)
 
-    def _subscribe(self) -> None:
-        self._descriptions = self.create_owned_subscription(
-            String,
-            topics.ROBOT_DESCRIPTION,
-            self._on_description,
-            topics.DESCRIPTION_QOS,
-            matched=lambda _: self._has_several(),
-        )
-
-    def _has_several(self) -> bool:
-        """Return whether several publishers can reach this node, and distrust them."""
-        # The graph knows a publisher before its first message arrives.
-        publishers = self.get_publishers_info_by_topic(self._descriptions.topic_name)
-        count = sum(publisher.qos_profile.durability is not DurabilityPolicy.VOLATILE for publisher in publishers)
-        if count > 1 and count != self._several:
-            self._several = count
-            reason = f"{count} publishers of {topics.ROBOT_DESCRIPTION}: must be one"
-            self.get_logger().error(reason)
-            self.distrust_robot(reason)
-        return count > 1
-
-    def _subscribe_again(self) -> None:
-        if not self._has_several() and self._several:
-            self._several = 0
-            self.distrust_robot(f"no {topics.ROBOT_DESCRIPTION} since it had several publishers")
-            self.destroy_subscription(self._descriptions)
-            self._subscribe()
+    def _on_publishers(self, reason: str) -> None:
+        self.get_logger().error(reason)
+        self.distrust_robot(reason)
 
     def _on_description(self, message: String) -> None:
-        if self._has_several() or self._several:
-            return
         text, name = message.data, topics.ROBOT_DESCRIPTION
         if text != self._description:
             self._description = ""

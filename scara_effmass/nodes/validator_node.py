@@ -17,6 +17,7 @@ from scara_effmass.impacts.detector import Detector
 from scara_effmass.impacts.validator import Validator
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.diagnostics import Diagnostics, no_publisher, several_publishers
+from scara_effmass.nodes.latched_input import LatchedInput
 from scara_effmass.nodes.lifecycle import LifecycleBase, run
 from scara_effmass.nodes.validator_health import impact_text, series_status
 from scara_effmass.settings import DetectionSettings, MonitorSettings, ValidatorSettings, checked
@@ -75,7 +76,7 @@ class ValidatorNode(LifecycleBase[NodeSettings]):
             self.create_owned_subscription(
                 kind, topic, partial(self._on_message, decode, take), topics.VALIDATOR_INPUT_QOS, raw=True
             )
-        self.create_owned_subscription(RunInfo, topics.RUN_INFO, self._on_run_info, topics.INFO_QOS, raw=True)
+        LatchedInput(self, RunInfo, topics.RUN_INFO, topics.INFO_QOS, self._on_run_info, self._forget_obstacle)
         self.create_steady_timer(_WAIT_PERIOD_S, self._pass_time)
         self.create_owned_trigger("~/reset", self._reset)
         self.create_owned_trigger("~/write_report", self._write_report)
@@ -114,12 +115,15 @@ class ValidatorNode(LifecycleBase[NodeSettings]):
         try:
             late = self._validator.begin_run(decode_run_info(data), self.now_ns())
         except (DecodeError, SettingsError) as error:
-            unknown = "the obstacle mass is not known until the next RunInfo"
-            self.get_logger().error(f"{topics.RUN_INFO}: {error}; {unknown}")
-            self._validator.runs.forget_obstacle(self.now_ns())  # else predictions would use the mass of another run
+            self._forget_obstacle(f"{topics.RUN_INFO}: {error}")
             return
         if late:
             self.get_logger().error(f"{topics.RUN_INFO}: arrived after {late} impacts of its run: they do not count")
+
+    def _forget_obstacle(self, reason: str) -> None:
+        """Let the obstacle mass be unknown for `reason`: predictions would use that of another run."""
+        self.get_logger().error(f"{reason}; the obstacle mass is not known until the next RunInfo")
+        self._validator.runs.forget_obstacle(self.now_ns())
 
     def _publish(self, impacts: Iterable[ValidatedImpact]) -> None:
         for impact in impacts:

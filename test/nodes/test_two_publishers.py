@@ -5,17 +5,26 @@ import time
 from collections.abc import Callable, Sequence
 
 import pytest
+import rclpy
 from builtin_interfaces.msg import Time
 from rcl_interfaces.msg import Log
+from rclpy.duration import Duration
+from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock
 from scara_effmass_msgs.msg import ContactState
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from scara_effmass.codes import Reason
-from test.nodes.conftest import Answer, NodeHarness, joint_state
+from scara_effmass.nodes.client import spin_for
+from scara_effmass.nodes.latched_input import LatchedInput
+from scara_effmass.nodes.lifecycle import LifecycleBase
+from scara_effmass.nodes.parameters import NodeParameters
+from scara_effmass.wire.topics import DESCRIPTION_QOS
+from test.nodes.conftest import Answer, NodeHarness, joint_state, ros_node
 from test.nodes.test_monitor_node import ACCEPT_ALL, INFO, TWO_LINKS
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -150,6 +159,84 @@ def test_second_publisher_of_commands_gives_unknown(new_harness: Callable[..., N
     for _ in range(3):
         until(harness, is_ok, send_beside_gripper)
     assert {answer.verdict for answer in harness.contact_states} == {ContactState.OK}
+
+
+@pytest.mark.usefixtures("own_domain")
+def test_publisher_that_comes_and_goes_while_the_node_is_busy_does_not_count() -> None:
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    node, heard = LifecycleBase("receiver", NodeParameters), list[str]()
+    LatchedInput(node, String, "text", DESCRIPTION_QOS, lambda m: heard.append(m.data), heard.append, raw=False)
+    executor = EventsExecutor()
+    executor.add_node(node)
+    with ros_node("sender") as sender:
+
+        def await_publishers(count: int) -> None:
+            while node.count_publishers("text") != count:
+                time.sleep(0.01)
+
+        def publish(text: str) -> Publisher:
+            publisher = sender.create_publisher(String, "text", LATCHED)
+            publisher.publish(String(data=text))
+            while not publisher.get_subscription_count():
+                time.sleep(0.01)
+            assert publisher.wait_for_all_acked(Duration(seconds=60))
+            return publisher
+
+        def last_heard(*expected: str) -> bool:
+            spin_for(executor, 60.0, lambda: heard[-len(expected) :] == [*expected])
+            return heard[-len(expected) :] == [*expected]
+
+        first = publish("first")
+        assert last_heard("first")
+        sender.destroy_publisher(publish("second"))
+        await_publishers(1)
+        reasons = "2 publishers of text: must be one", "no text since it had several publishers"
+        assert last_heard("first", *reasons, "first")
+        sender.destroy_publisher(first)  # one after the other is a restart
+        await_publishers(0)
+        spin_for(executor, 0.5)
+        publish("restarted")
+        assert last_heard("first", "restarted")
+    executor.shutdown()
+    node.destroy_node()
+    rclpy.shutdown()
+
+
+def test_slow_second_publisher_of_joint_states_gives_unknown_between_its_messages(harness: NodeHarness) -> None:
+    second = harness.node.create_publisher(JointState, "joint_states", 10)
+
+    def send() -> None:
+        harness.send(joint_state())
+        second.publish(joint_state())
+
+    try:
+        until(harness, has("2 publishers of joint states"), send)
+        for _ in range(3):
+            between = harness.response_to(joint_state())
+            assert (between.verdict, between.reason_code) == (ContactState.UNKNOWN, Reason.TWO_PUBLISHERS)
+            assert between.reason == "2 publishers of joint states: only one may send the robot's joints"
+            assert between.allowable_speed == 0.0
+    finally:
+        harness.node.destroy_publisher(second)
+    harness.send_until_ok()
+
+
+def test_restarted_driver_beside_a_gripper_is_no_second_publisher(new_harness: Callable[..., NodeHarness]) -> None:
+    harness = new_harness("--ros-args", "-p", "release_time:=0.0", "-p", "timeout:=60.0")
+    harness.subscribe()
+    gripper, driver = (harness.node.create_publisher(JointState, "joint_states", 10) for _ in range(2))
+
+    def send() -> None:
+        gripper.publish(joint_state(names=("finger",), position=(0.0,), velocity=()))
+        driver.publish(joint_state())
+
+    for _ in range(3):
+        until(harness, is_ok, send)
+    harness.node.destroy_publisher(driver)
+    driver, restart = harness.node.create_publisher(JointState, "joint_states", 10), time.monotonic()
+    until(harness, has("a second publisher, or a restarted one"), send)
+    until(harness, is_ok, send)
+    assert time.monotonic() < restart + 9.0  # not after the 10 s of a second publisher
 
 
 def test_second_clock_gives_unknown(new_harness: Callable[..., NodeHarness]) -> None:

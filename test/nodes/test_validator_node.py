@@ -172,6 +172,21 @@ def test_malformed_run_information_makes_the_obstacle_mass_unknown(node: Validat
         node.harness.spin_until(lambda: len(node.received) == number + 1)  # noqa: B023
 
 
+def test_second_publisher_of_run_information_makes_the_obstacle_mass_unknown(node: ValidatorHarness) -> None:
+    node.state_run(2.39, RunInfoValue(obstacle_mass=2.39, stamp_ns=1))
+    second = node.harness.node.create_publisher(RunInfo, "run_info", LATCHED)
+    second.publish(run_info_message(RunInfoValue(obstacle_mass=7.35)))
+    node.state_run(0.0)
+    node.run(0.0)
+    node.harness.diagnostic("validator: series", "not paired: obstacle_mass is not given", "1".__eq__)
+    node.harness.node.destroy_publisher(second)
+    node.state_run(2.39)  # the latched one of the publisher that is left
+    node.run(0.0, first=1)
+    node.harness.spin_until(lambda: len(node.received) == 1)
+    mass = node.received[0].effective_mass
+    assert node.received[0].reduced_mass == pytest.approx(mass * 2.39 / (mass + 2.39))
+
+
 def test_run_information_without_a_mass_leaves_that_of_the_parameter(node: ValidatorHarness) -> None:
     assert node.harness.set_parameters(obstacle_mass=2.39) == ""
     node.state_run(0.5, RunInfoValue(obstacle_mass=0.5))

@@ -639,9 +639,11 @@ def test_run_information_replaces_the_settings_that_it_states() -> None:
     assert runs.latest[:3] == (START + 2, 4.0, "far")
     runs.forget_obstacle(START + 3)
     assert runs.latest[:3] == (START + 3, 0.0, "far")
+    runs.begin(RunInfo(obstacle_mass=5.0, stamp_ns=START + 1), START + 4)  # latched before, read again
+    assert runs.latest[:3] == (START + 3, 5.0, "near")
     runs.restart()
     assert runs.at(0) == runs.latest
-    assert runs.latest[:3] == (0, 0.0, "far")
+    assert runs.latest[:3] == (0, 5.0, "near")
 
 
 def test_plate_normal_of_the_run_replaces_that_of_the_settings() -> None:
