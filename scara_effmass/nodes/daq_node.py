@@ -12,7 +12,9 @@ import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.duration import Duration
+from rclpy.parameter import Parameter
 from scara_effmass_msgs.msg import ForceBlock, Impact
 
 from scara_effmass import values
@@ -61,14 +63,14 @@ class DaqNode(LifecycleBase[NodeSettings]):
         self._state: AcquisitionState | None = None
         self._drain_is_due = False
         self._is_over = False
+        self.add_on_set_parameters_callback(self._on_set_clock)
 
     def configure(self) -> None:
         """Create the source and the endpoints. Raises EffmassError."""
         settings = self.settings
         self._source: ForceSource = make_source(settings, self.now_ns)
-        if self.get_parameter("use_sim_time").value and not self._source.uses_ros_time:
-            kind = settings.source
-            raise SettingsError(f"{self.get_name()}: use_sim_time = true: must be false, {kind} measures in real time")
+        if self.get_parameter("use_sim_time").value:
+            self._require_ros_time()
         if settings.filter.kind != "none":
             import_module("scara_effmass.daq.lowpass")  # takes seconds, so not after the start
         self._outputs = [
@@ -78,6 +80,21 @@ class DaqNode(LifecycleBase[NodeSettings]):
         self._diagnostics = Diagnostics(self, self._statuses)
         self.create_steady_timer(_IMPACT_INTERVAL_S, self._publish_waiting)
         self.create_owned_trigger("~/reset", self._reset)
+
+    def _require_ros_time(self) -> None:
+        """Raise SettingsError if the source measures in real time."""
+        if not self._source.uses_ros_time:
+            reason = f"must be false, {self.settings.source} measures in real time"
+            raise SettingsError(f"{self.get_name()}: use_sim_time = true: {reason}")
+
+    def _on_set_clock(self, changes: list[Parameter]) -> SetParametersResult:
+        """Refuse simulated time at run time as at the start; called before ROS changes its clock."""
+        try:
+            if self._outputs and any(change.name == "use_sim_time" and change.value for change in changes):
+                self._require_ros_time()
+        except SettingsError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
 
     def activate(self) -> None:
         """Start the acquisition. Raises DaqError, BagError or SettingsError."""

@@ -17,6 +17,7 @@ from geometry_msgs.msg import WrenchStamped
 from lifecycle_msgs.msg import Transition, TransitionEvent
 from lifecycle_msgs.srv import ChangeState
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock
@@ -274,7 +275,7 @@ def test_invalid_parameter_is_refused_in_one_line(refusal_of: Callable[..., str]
     assert refusal_of(DaqNode, argument).startswith(line)
 
 
-def test_filter_is_imported_at_configure(
+def test_configured_node_imports_the_filter_and_refuses_simulated_time(
     own_domain: int,  # noqa: ARG001 - where it is alone
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
@@ -287,6 +288,9 @@ def test_filter_is_imported_at_configure(
         node = DaqNode()
         node.trigger_configure()
         assert "scara_effmass.daq.lowpass" in sys.modules
+        (result,) = node.set_parameters([Parameter("use_sim_time", value=True)])
+        assert result.reason == "daq: use_sim_time = true: must be false, sim measures in real time"
+        assert not node.get_parameter("use_sim_time").value
         node.destroy_node()
     finally:
         rclpy.try_shutdown()
