@@ -9,17 +9,15 @@ from contextlib import ExitStack
 from types import FrameType
 from typing import Any
 
-import rclpy
 from rclpy.context import Context
 from rclpy.exceptions import ParameterException
 from rclpy.executors import Executor
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from typing_extensions import Self
 
 from scara_effmass.errors import SettingsError
-from scara_effmass.nodes.process import END_SIGNALS, catch, start_refusal
+from scara_effmass.nodes.process import END_SIGNALS, catch, start_ros
 
 _SPIN_SLICE_S = 0.1
 _SPIN_LIMIT_S = 1e9
@@ -55,10 +53,7 @@ class ClientNode:
                     stack.callback(signal.signal, number, self.handlers[number])
             self.context = Context()
             stack.callback(self.context.try_shutdown)
-            try:
-                rclpy.init(args=list(arguments), context=self.context, signal_handler_options=SignalHandlerOptions.NO)
-            except RuntimeError as error:
-                raise start_refusal(error) from None
+            start_ros(arguments, self.context)
             try:
                 self.node = Node(name, context=self.context, start_parameter_services=False, enable_rosout=False)
             except ParameterException as error:

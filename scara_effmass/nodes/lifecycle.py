@@ -42,7 +42,6 @@ from rclpy.qos import (
     qos_policy_name_from_kind,
 )
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rclpy.timer import Timer
@@ -53,7 +52,7 @@ from scara_effmass.codes import Reason
 from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.parameters import Parameters
-from scara_effmass.nodes.process import END_SIGNALS, catch, one_line, start_refusal
+from scara_effmass.nodes.process import END_SIGNALS, catch, one_line, start_refusal, start_ros
 from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.nodes.readiness import PERIOD_S, readiness_reporter
 from scara_effmass.nodes.realtime import use_realtime
@@ -75,6 +74,10 @@ _ROSOUT_ACK_S = 5.0
 _SETTLE_S = 0.2
 """Time for a subscriber to discover a publisher that has discovered it."""
 _POLL_S = 0.01
+_LOADING_S = 1.0
+"""Time for which a signal lets a node go on loading."""
+_EXIT_BY_SIGNAL = 128
+"""What a shell adds to the number of the signal that ended a process."""
 _STDERR_WAIT_S = 1.0
 """Time for which the end of the process waits until the terminal has printed the log."""
 _PUBLISHER_OVERRIDES = (
@@ -82,6 +85,8 @@ _PUBLISHER_OVERRIDES = (
     *(QoSPolicyKind.LIFESPAN, QoSPolicyKind.LIVELINESS, QoSPolicyKind.LIVELINESS_LEASE_DURATION),
 )
 """QoS policies of publishers that parameters may override."""
+_QOS_OVERRIDES = "qos_overrides"
+"""Prefix of the parameters that ROS declares with an endpoint."""
 
 
 class LifecycleBase(LifecycleNode, Generic[Parameters]):
@@ -344,6 +349,14 @@ class LifecycleBase(LifecycleNode, Generic[Parameters]):
         self.deactivate()
         self._owned.close()
         self._mismatches.clear()
+        self._forget_qos()
+
+    def _forget_qos(self) -> None:
+        """Undeclare the QoS of the endpoints, else it would override that of the next ones; what was stated is kept."""
+        for name in self.get_parameters_by_prefix(_QOS_OVERRIDES):
+            parameter = f"{_QOS_OVERRIDES}.{name}"
+            self.describe_parameter(parameter).read_only = False
+            self.undeclare_parameter(parameter)
 
     @property
     def incompatible_qos(self) -> str:
@@ -408,7 +421,7 @@ def run(name: str, node_class: Callable[[], AnyNode], args: Sequence[str] | None
     spin = _Spin()
     ros_arguments: list[str] = []
 
-    def stop() -> None:
+    def stop(number: int) -> None:
         nonlocal stopped
         stopped = True
         if node is not None:
@@ -416,7 +429,7 @@ def run(name: str, node_class: Callable[[], AnyNode], args: Sequence[str] | None
         try:
             _publish_last(node, Reason.SHUTDOWN)
         finally:
-            spin.end()
+            spin.end(number)
 
     try:
         with _stderr_that_never_blocks() as terminal, _on_signal(stop):
@@ -445,12 +458,12 @@ def run(name: str, node_class: Callable[[], AnyNode], args: Sequence[str] | None
                     raise
                 # A signal or `abort` ended the context.
             finally:
-                _end(node, executor)
+                _end(node, executor, spin)
             if node is not None and node.abort_error is not None:
                 raise node.abort_error
     except EffmassError as error:
         print(error, file=sys.stderr)  # noqa: T201
-        with suppress(*REFUSALS):  # without ROS there is no /rosout either
+        with suppress(EffmassError, *REFUSALS):  # without ROS there is no /rosout either
             _log_refusal(name, error, ros_arguments)
         return 2
     return 0
@@ -465,22 +478,30 @@ class _Spin:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._has_begun = False
+        self.loaded = threading.Event()
+        """Set when the node has been loaded, or will not be."""
         self._end: Future = Future()
 
     def run(self, executor: Executor) -> None:
         """Spin until `end` is called or the context is shut down."""
+        self.loaded.set()
         with self._lock:
             self._has_begun = rclpy.ok()
         while rclpy.ok() and not self._end.done():
             executor.spin_until_future_complete(self._end, timeout_sec=_SPIN_S)
 
-    def end(self) -> None:
-        """End `run`. If it has not begun, shut the context down, which ends the start of the node."""
+    def end(self, number: int) -> None:
+        """End `run` at the signal `number`. If it has not begun, shut the context down, which ends the start.
+
+        A node that loads does not notice it: end the process after a while.
+        """
         with self._lock:
             if self._has_begun:
                 self._end.set_result(None)
             else:
                 rclpy.try_shutdown()
+        if not self.loaded.wait(_LOADING_S):
+            os._exit(_EXIT_BY_SIGNAL + number)
 
 
 @contextmanager
@@ -512,8 +533,8 @@ def _stderr_that_never_blocks() -> Iterator[int]:
 
 
 @contextmanager
-def _on_signal(stop: Callable[[], None]) -> Iterator[None]:
-    """Call `stop` in a thread of its own at the first of END_SIGNALS; further ones do nothing.
+def _on_signal(stop: Callable[[int], None]) -> Iterator[None]:
+    """Call `stop` with the number of the first of END_SIGNALS, in a thread of its own; further ones do nothing.
 
     rclpy would end the context at once, before a last message. A handler in Python would not run while the executor
     waits or a callback takes long.
@@ -525,8 +546,8 @@ def _on_signal(stop: Callable[[], None]) -> Iterator[None]:
     signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
 
     def await_signal() -> None:
-        if os.read(reader, 1):
-            stop()
+        if numbers := os.read(reader, 1):
+            stop(numbers[0])
 
     thread = threading.Thread(target=await_signal, name="signals", daemon=True)
     thread.start()
@@ -544,7 +565,7 @@ def _log_refusal(name: str, error: EffmassError, arguments: list[str]) -> None:
     with ExitStack() as stack:
         context = Context()
         stack.callback(context.try_shutdown)
-        rclpy.init(args=arguments, context=context, signal_handler_options=SignalHandlerOptions.NO)
+        start_ros(arguments, context)
         node = Node(name, context=context, start_parameter_services=False, enable_rosout=False)
         stack.callback(node.destroy_node)
         publisher = node.create_publisher(Log, "/rosout", qos_profile(INFO_QOS))
@@ -571,8 +592,9 @@ def _use_thread_priority(node: AnyNode) -> None:
             node.get_logger().info(f"SCHED_FIFO at priority {priority}, memory locked")
 
 
-def _end(node: AnyNode | None, executor: Executor | None) -> None:
+def _end(node: AnyNode | None, executor: Executor | None, spin: _Spin) -> None:
     """Destroy what `run` created."""
+    spin.loaded.set()
     if node is not None:
         node.deactivate()  # its threads must not wake the executor after its shutdown
     if executor is not None:
@@ -593,8 +615,8 @@ def _init(arguments: list[str]) -> None:
     )
     try:
         _, unknown = parser.parse_known_args(remove_ros_args(arguments))
-        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
         raise start_refusal(error) from None
+    start_ros(arguments)
     if unknown:
         raise SettingsError(f"{unknown[0]!r}: unknown argument; ROS arguments must follow --ros-args")

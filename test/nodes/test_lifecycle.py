@@ -129,6 +129,24 @@ def test_sigterm_while_a_node_starts_ends_it_with_0_or_143(
     assert "FATAL" not in errors
 
 
+@pytest.mark.live
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
+def test_signal_ends_a_node_that_loads_for_long(own_domain: int, number: signal.Signals, code: int) -> None:
+    script = """
+import time
+from scara_effmass.nodes.validator_node import ValidatorNode, main
+
+ValidatorNode.configure = lambda self: (print("loading", flush=True), time.sleep(600))
+raise SystemExit(main([]))
+"""
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(own_domain)}
+    with subprocess.Popen([sys.executable, "-c", script], env=environment, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"loading\n"
+        process.send_signal(number)
+        assert process.wait(60.0) == code
+
+
 def test_simulated_cell_does_not_catch_up_with_years(refusal_of: Callable[..., str]) -> None:
     assert refusal_of(SimNode, "start:=1.0") == "sim: start = 1.0: must be at most 60 s ago"
 

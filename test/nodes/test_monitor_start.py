@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from scara_effmass.errors import SettingsError
+from scara_effmass.nodes.client import ClientNode
 from scara_effmass.nodes.monitor_node import MonitorNode
 from scara_effmass.share import share
 from test.nodes.conftest import MONITOR_NODE, NodeHarness
@@ -207,7 +209,24 @@ def test_first_lines_say_what_is_assumed_and_which_options_state_it(new_harness:
     assert any("deciding mass: lumped from masses" in line for line in lines)
 
 
-def test_node_without_a_folder_for_its_log_names_the_variable(new_harness: Callable[..., NodeHarness]) -> None:
-    process = new_harness().start(command=("env", "ROS_LOG_DIR=/proc/nobody", str(MONITOR_NODE)))
-    assert process.communicate()[1].splitlines()[-1].startswith("ROS_LOG_DIR: failed to initialize logging: ")
+@pytest.mark.parametrize(
+    ("variable", "line"),
+    [
+        ("ROS_LOG_DIR=/proc/nobody", "ROS_LOG_DIR: failed to initialize logging: "),
+        ("ROS_DOMAIN_ID=233", "ROS_DOMAIN_ID = '233': must be a whole number from 0 to 232"),
+        ("ROS_DOMAIN_ID=abc", "ROS_DOMAIN_ID = 'abc': must be a whole number from 0 to 232"),
+    ],
+)
+def test_unusable_variable_is_named(
+    new_harness: Callable[..., NodeHarness], monkeypatch: pytest.MonkeyPatch, variable: str, line: str
+) -> None:
+    process = new_harness().start(command=("env", variable, str(MONITOR_NODE)))
+    errors = process.communicate()[1].splitlines()
+    assert errors[-1].startswith(line)
     assert process.returncode == 2
+    if "DOMAIN" in variable:
+        assert len(errors) == 1
+        name, _, value = variable.partition("=")
+        monkeypatch.setenv(name, value)
+        with pytest.raises(SettingsError, match=line):
+            ClientNode("client")
