@@ -205,6 +205,11 @@ class NodeHarness:
             self._input = self.node.create_publisher(JointState, "joint_states", DEEP_QOS)
         self._input.publish(message)
 
+    def stop_sending(self) -> None:
+        """End the publisher of joint_states: another one would be a second one."""
+        self.node.destroy_publisher(self._input)
+        self._input = None
+
     def response_to(self, message: JointState | bytes) -> Answer:
         """Publish `message` and return the contact state that follows."""
         self._clear_when_complete()

@@ -71,6 +71,7 @@ def test_flood_leaves_no_old_permission(
     harness.node.create_subscription(ContactStates, "contact_states", receive, QoSProfile(depth=100))  # type: ignore[arg-type]
     harness.subscribe()
     harness.send_until_ok()
+    harness.stop_sending()
     published.clear()
     arguments = map(str, (names, numbers, count, rate))
     environment = {**os.environ, "ROS_DOMAIN_ID": str(harness.domain)}
