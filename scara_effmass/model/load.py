@@ -208,7 +208,8 @@ def _add_payload(model: pin.Model, stated: RobotDescription, settings: MonitorSe
     load = StatedLink(
         "payload", settings.payload_mass, np.array(settings.payload_com), inertia_tensor(settings.payload_inertia)
     )
-    if not load.mass and load.com.any() and not settings.payload_topic:
+    is_forgotten = "payload_mass" not in settings.model_fields_set and not settings.payload_topic
+    if load.com.any() and is_forgotten:
         raise RobotError(f"payload_com = {list(settings.payload_com)}: must be 0 without payload_mass")
     problem = "must be 0 without payload_mass" if not load.mass and load.inertia.any() else ""
     try:

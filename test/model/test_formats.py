@@ -111,7 +111,7 @@ def test_dh_file_and_urdf_give_the_same_robot(
 ) -> None:
     """M, m_L, M(q) and the motion of each point agree to 1e-12, and their masses as the condition of M(q) allows."""
     rows = random_rows(seed, joints)
-    dh, urdf = both(rows, tmp_path, payload_mass=load, payload_com=com if load else (0.0, 0.0, 0.0))
+    dh, urdf = both(rows, tmp_path, payload_mass=load, payload_com=com)
     links = sum(link["mass"] for link in rows["links"])
     for robot in (dh, urdf):
         assert robot.moving_mass == pytest.approx(links, rel=1e-12)
@@ -180,8 +180,7 @@ def test_impossible_payload_is_refused(mass: float, inertia: tuple[float, ...], 
 @pytest.mark.parametrize("load", [0.0, 2.5])
 def test_rebuilt_payload_is_the_loaded_one(omron_file: Path, load: float) -> None:
     before = load_robot(omron_file, MonitorSettings(payload_mass=1.0))
-    com = (0.05, 0.0, 0.1) if load else (0.0, 0.0, 0.0)
-    options = MonitorSettings(payload_mass=load, payload_com=com)
+    options = MonitorSettings(payload_mass=load, payload_com=(0.05, 0.0, 0.1))
     changed, loaded = before.rebuild(options), load_robot(omron_file, options)
     assert changed.payload == loaded.payload
     for one, other in zip(changed.model.inertias, loaded.model.inertias, strict=True):
