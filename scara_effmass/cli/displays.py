@@ -26,7 +26,7 @@ from scara_effmass.cli.options import load_dynamics, monitor_settings
 from scara_effmass.errors import SettingsError
 from scara_effmass.impacts.agreement import comparison_text
 from scara_effmass.safety.remedies import remedy
-from scara_effmass.values import Verdict, at_least, at_most, severity
+from scara_effmass.values import Verdict, at_least, at_most, severity, speed_texts
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -195,7 +195,7 @@ def _points(status: CellStatus) -> Table:
         table.add_column(heading, justify="right" if "m/s" in heading or heading == "kg" else "left")
     for contact in sorted(status.contacts, key=lambda contact: -severity(contact.verdict)):
         verdict = contact.verdict if status.verdict is not Verdict.UNKNOWN else Verdict.UNKNOWN
-        numbers = (at_least(contact.speed, 3), at_most(contact.allowable_speed, 3), f"{contact.effective_mass:.3g}")
+        numbers = (*speed_texts(contact.speed, contact.allowable_speed), f"{contact.effective_mass:.3g}")
         if verdict is Verdict.UNKNOWN:
             numbers = ("-", "-", "-")
         table.add_row(

@@ -21,7 +21,7 @@ from scara_effmass.nodes.cell_client import CellClient
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety.remedies import remedy
 from scara_effmass.settings import MonitorSettings
-from scara_effmass.values import ContactAssessment, Verdict, at_least, at_most
+from scara_effmass.values import ContactAssessment, Verdict, at_least, at_most, speed_texts
 
 ADVISORY = "Advisory software, not a certified safety function."
 FAST_S, SLOW_S = 0.2, 1.0
@@ -233,8 +233,9 @@ def _speed_html(status: CellStatus) -> str:
         return "<b>0 m/s</b><br>allowed while the verdict is UNKNOWN"
     contact = status.decision.worst
     share = min(contact.speed / contact.allowable_speed, 1.0) if contact.allowable_speed > 0.0 else 1.0
+    speed, allowed = speed_texts(contact.speed, contact.allowable_speed)
     return (
-        f"<b>{at_least(contact.speed, 3)}</b> of <b>{at_most(contact.allowable_speed, 3)} m/s</b> allowed"
+        f"<b>{speed}</b> of <b>{allowed} m/s</b> allowed"
         f'<div class="bar" aria-hidden="true"><i style="width:{share:.0%}"></i></div>'
         f"{escape(contact.contact_point)} · {escape(contact.body_region.replace('_', ' '))} · "
         f"speed scaling {at_most(status.speed_scaling, 2)}"
@@ -278,8 +279,8 @@ def _contact_rows(status: CellStatus) -> tuple[list[str], list[list[str]], str]:
     columns: dict[str, Callable[[ContactAssessment], str]] = {
         "along the velocity": lambda contact: contact.contact_point,
         "verdict": lambda contact: contact.verdict.name,
-        "speed": lambda contact: f"{at_least(contact.speed, 3)} m/s",
-        "allowable speed": lambda contact: f"{at_most(contact.allowable_speed, 3)} m/s",
+        "speed": lambda contact: f"{speed_texts(contact.speed, contact.allowable_speed)[0]} m/s",
+        "allowable speed": lambda contact: f"{speed_texts(contact.speed, contact.allowable_speed)[1]} m/s",
         "effective mass, lumped": lambda contact: mass(contact.lumped_mass),
         "effective mass, full": lambda contact: mass(contact.full_mass),
         "effective mass, ISO": lambda contact: mass(contact.iso_mass),
