@@ -117,4 +117,4 @@ def test_the_threshold_is_an_option(cli: Cli, refused: Refused, tmp_path: Path) 
     found = [json.loads(cli("impacts", path, "--json", *more).stdout)["contacts"] for more in ((), ("--threshold", 1))]
     assert found == [0, 1]
     assert "--threshold: 0: must be a number > 0" in refused("impacts", path, "--threshold", 0)
-    assert "must hold scara_effmass_msgs/msg/ForceBlock" in refused("impacts", BAGS / "straight_300_200")
+    assert "has no topic of type scara_effmass_msgs/msg/ForceBlock" in refused("impacts", BAGS / "straight_300_200")
