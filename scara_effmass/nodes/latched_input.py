@@ -87,8 +87,9 @@ class LatchedInput:
         self._subscribe()
 
     def _on_message(self, message: Any, info: dict[str, Any]) -> None:  # noqa: ANN401 - as the message type
-        # A message can come before the event of its publisher: that one's numbers begin at 1 again.
-        before, self._number = self._number, info["publication_sequence_number"]
-        self._check(least=2 if self._number <= before else 1)
+        # A message can come before the event of its publisher: that one's numbers begin at 1 again. Some middleware, as
+        # Cyclone DDS, has none.
+        before, self._number = self._number, info["publication_sequence_number"] or 0
+        self._check(least=2 if 0 < self._number <= before else 1)
         if not self._publishers:
             self._take(message)

@@ -108,6 +108,8 @@ class MonitorNode(RobotNode[NodeSettings]):
         self._received = self._skipped = self._skipped_before = 0
         self._departed = self._departed_ns = 0
         """Number of publishers of joint states that have gone, and when the last one did: monotonic time [ns]."""
+        self._is_numbered = True
+        """Whether the middleware numbers the messages of a publisher."""
         self._rivals = self._rivals_ns = 0
         """Number of publishers when two last sent the robot's joints, 0 if none do, and the monotonic time [ns]."""
         self._latencies = Latencies()
@@ -243,7 +245,7 @@ class MonitorNode(RobotNode[NodeSettings]):
         """
         self._received += 1
         timeout_ns = self.settings.timeout * 1e9
-        waited_ns, age_ns = time.time_ns() - info["received_timestamp"], self.now_ns() - header_stamp_ns(data)
+        waited_ns, age_ns = time.time_ns() - _received_ns(info), self.now_ns() - header_stamp_ns(data)
         is_late = waited_ns > _MAX_WAIT * timeout_ns or age_ns > timeout_ns
         if not is_late or self.get_parameter("use_sim_time").value:
             return ((data, info),)
@@ -271,8 +273,9 @@ class MonitorNode(RobotNode[NodeSettings]):
                 self._publish(unknown_assessments(Reason.NO_ROBOT, self._no_robot_reason, self.now_ns()))
                 return
             try:
-                state = self._decoder.decode(data)
-                assessments = monitor.assess_one(state, self.now_ns(), info["publication_sequence_number"])
+                state, number = self._decoder.decode(data), info["publication_sequence_number"]
+                self._is_numbered = number is not None
+                assessments = monitor.assess_one(state, self.now_ns(), number)
             except DecodeError as error:
                 assessments = monitor.settle(monitor.refuse(Reason.UNDECODABLE, str(error), self.now_ns()))
             if assessments is not None:
@@ -285,8 +288,8 @@ class MonitorNode(RobotNode[NodeSettings]):
                     assessments = monitor.settle(late)
                 self._last_answer_ns = start_ns
                 self._publish(assessments)
-                received_ns = info["received_timestamp"]
-                self._latencies.add(time.time_ns() - received_ns, int(assessments.states["stamp_ns"][0]))
+                latency_ns = time.time_ns() - _received_ns(info)
+                self._latencies.add(latency_ns, int(assessments.states["stamp_ns"][0]))
                 self._publish_load(monitor)
 
     def _watch_rivals(self) -> None:
@@ -298,8 +301,14 @@ class MonitorNode(RobotNode[NodeSettings]):
             self._distrust_rivals()
 
     def _distrust_rivals(self) -> None:
-        """Distrust the joint states until a publisher has gone, or for 10 s: a second one may send seldom."""
-        if time.monotonic_ns() - self._rivals_ns > _RIVALRY_NS:
+        """Distrust the joint states until a publisher has gone, or for 10 s: a second one may send seldom.
+
+        Without numbers, as Cyclone DDS gives none, nothing tells whose joints several publishers send.
+        """
+        if not self._is_numbered:
+            count = self.count_publishers(self._joint_states.topic_name)
+            self._rivals = count if count > 1 else 0
+        elif time.monotonic_ns() - self._rivals_ns > _RIVALRY_NS:
             self._rivals = 0
         reason = f"{self._rivals} publishers of joint states: only one may send the robot's joints"
         if self._monitor is not None:
@@ -528,6 +537,11 @@ class MonitorNode(RobotNode[NodeSettings]):
                 if any(name.startswith("payload") for name in changed):
                     self.get_logger().info(f"payload: {self._monitor.payload_text}")
         self._wake_watchdog.set()  # else the new period starts after the old one
+
+
+def _received_ns(info: dict[str, Any]) -> int:
+    """Return when the middleware received a message [ns]; now, where it does not say so, as some do by a 0."""
+    return int(info["received_timestamp"]) or time.time_ns()
 
 
 main = partial(run, "monitor", MonitorNode)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Each input that a verdict rests on has exactly one publisher: a second one gives UNKNOWN with a reason."""
 
+import sys
 import time
 from collections.abc import Callable, Sequence
 
@@ -31,6 +32,14 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 LIGHT = TWO_LINKS.replace('mass value="2.0"', 'mass value="1.0"')
 AWAIT = ("-p", "await_robot_description:=true", "-p", "effective_mass_model:=full", "-p", "timeout:=60.0", *ACCEPT_ALL)
 TWO = "2 publishers of robot_description: must be one"
+UNNUMBERED = """
+from scara_effmass.nodes import monitor_node
+answer = monitor_node.MonitorNode._answer
+def without_number(node, data, info):
+    answer(node, data, {**info, "publication_sequence_number": None, "received_timestamp": 0})
+monitor_node.MonitorNode._answer = without_number
+raise SystemExit(monitor_node.main())
+"""
 
 
 def until(harness: NodeHarness, accept: Callable[[Answer], bool], send: Callable[[], object]) -> Answer:
@@ -219,6 +228,21 @@ def test_slow_second_publisher_of_joint_states_gives_unknown_between_its_message
     finally:
         harness.node.destroy_publisher(second)
     harness.send_until_ok()
+
+
+def test_several_publishers_of_joint_states_give_unknown_where_messages_have_no_numbers(
+    new_harness: Callable[..., NodeHarness],
+) -> None:
+    """As with Cyclone DDS, for which rclpy gives None."""
+    harness = new_harness()
+    arguments = ("--ros-args", "-p", "release_time:=0.0", "-p", "timeout:=60.0")
+    harness.start(*arguments, command=(sys.executable, "-c", UNNUMBERED))
+    harness.subscribe_until_ok()
+    second = harness.node.create_publisher(JointState, "joint_states", 10)
+    unknown = until(harness, has("2 publishers of joint states"), lambda: harness.send(joint_state()))
+    assert (unknown.reason_code, unknown.allowable_speed) == (Reason.TWO_PUBLISHERS, 0.0)
+    harness.node.destroy_publisher(second)
+    until(harness, is_ok, lambda: harness.send(joint_state()))
 
 
 def test_restarted_driver_beside_a_gripper_is_no_second_publisher(new_harness: Callable[..., NodeHarness]) -> None:
