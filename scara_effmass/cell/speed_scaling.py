@@ -63,10 +63,10 @@ class SpeedScaler:
         """
         self._taken_ns = now_ns
         refusal = _refusal(decision)
-        if not refusal and abs(age_ns) > self.timeout_ns:
-            # The clocks of monitor and node differ, or use_sim_time has no /clock.
-            in_future = f"stamped {-age_ns / 1e9:.3f} s after the time of this node's clock"
-            refusal = f"the joint state is {in_future if age_ns < 0 else f'{age_ns / 1e9:.3f} s old'}"
+        if not refusal and age_ns > self.timeout_ns:
+            refusal = f"the joint state is {age_ns / 1e9:.3f} s old"
+        elif not refusal and age_ns < -self.timeout_ns:  # the clocks differ, or use_sim_time has no /clock
+            refusal = f"the joint state is stamped {-age_ns / 1e9:.3f} s after the time of this node's clock"
         # A contact point at rest says nothing about the programmed speed.
         moving = [one for one in decision.contacts if one.speed > 0.0 and not one.worst_direction_used]
         self._judge_controller(max((one.speed for one in moving), default=0.0), now_ns, age_ns)

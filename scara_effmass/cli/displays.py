@@ -102,12 +102,10 @@ def _foxglove(args: argparse.Namespace) -> int:
 def _watch(args: argparse.Namespace) -> int:
     """Show the cell until a signal ends it. Raises SettingsError without a terminal, or for invalid ROS arguments."""
     console = Console(highlight=False, markup=False)
-    if not sys.stdout.isatty() or console.is_dumb_terminal:
-        problem = (
-            f"TERM = {os.environ.get('TERM')}: must move the cursor"
-            if sys.stdout.isatty()
-            else "stdout must be a terminal"
-        )
+    problem = "" if sys.stdout.isatty() else "stdout must be a terminal"
+    if not problem and console.is_dumb_terminal:
+        problem = f"TERM = {os.environ.get('TERM')}: must move the cursor"
+    if problem:
         raise SettingsError(f"watch: {problem}; the log of the monitor has each change of its verdict")
     from scara_effmass.nodes.cell_client import CellClient  # noqa: PLC0415 - rclpy
 

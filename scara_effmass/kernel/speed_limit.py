@@ -286,6 +286,12 @@ def likely_case(cases: Sequence[Case], mass: float) -> int:
 
 
 @inlined
+def case_index(n: int, count: int) -> int:
+    """Return the remainder of n, below twice `count`, without a division of integers, which is slow."""
+    return n if n < count else n - count
+
+
+@inlined
 def governing_case(
     cases: Sequence[Case], start: int, mobilities: Sequence[Mobility], drives: Drives, setup: Setup, work: Work
 ) -> tuple[int, Bound]:
@@ -293,7 +299,7 @@ def governing_case(
     factor, governing, slowest = setup.mass_factor, 0, NO_BOUND
     fill_bounds(mobilities, setup, work)
     for n in range(len(cases)):
-        i = start + n if start + n < len(cases) else start + n - len(cases)
+        i = case_index(start + n, len(cases))
         case, bound = cases[i], NO_BOUND
         rate = holding_rate(case, drives)
         for k in range(len(mobilities)):
@@ -398,7 +404,7 @@ def governing_person_case(
     """Return the case that allows the robot the least speed with a moving person, and its bound."""
     governing, slowest = 0, NO_BOUND
     for n in range(len(cases)):
-        i = start + n if start + n < len(cases) else start + n - len(cases)
+        i = case_index(start + n, len(cases))
         case, bound = cases[i], NO_BOUND
         rate = holding_rate(case, drives)
         for k in range(len(mobilities)):

@@ -199,9 +199,8 @@ def _decode(reader: _Reader, data: bytes) -> tuple[Decision, int]:
     worst = max((contact.verdict for contact in contacts), key=severity)
     if verdict not in _VERDICTS or severity(verdict) > severity(worst):
         why = f"verdict = {verdict}: must be that of the worst contact, {worst.name}"
-        contacts = [unknown_contact(contact.contact_point, why) for contact in contacts]
-    is_known = all(contact.verdict is not Verdict.UNKNOWN for contact in contacts)
-    if not (is_known and 0.0 <= allowable_speed < math.inf and 0.0 <= speed_scaling <= 1.0):
+        contacts, worst = [unknown_contact(contact.contact_point, why) for contact in contacts], Verdict.UNKNOWN
+    if not (worst is not Verdict.UNKNOWN and 0.0 <= allowable_speed < math.inf and 0.0 <= speed_scaling <= 1.0):
         allowable_speed = speed_scaling = 0.0
     stamp_ns = sec * NS + nanosec
     decision = Decision(
