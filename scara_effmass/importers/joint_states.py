@@ -94,10 +94,16 @@ def write_joint_state_bag(
 
 
 def _joint_states(path: Path, mapping: Path, table: JointTable) -> Iterator[tuple[int, JointState]]:
-    """Yield the line number and joint state of each row; blank rows are skipped."""
+    """Yield the line number and joint state of each row; blank rows are skipped.
+
+    Raises BagError for a row with fewer cells than the first one has up to its last name: which ones it lacks is
+    unknown.
+    """
     names, number = tuple(table.joints), Numbers(table.delimiter)
     rows = read_rows(path, table.delimiter)
-    index = partial(_index, mapping, next(rows, (0, []))[1] if table.header else [])
+    header = next(rows, (0, []))[1] if table.header else []
+    columns = max((number for number, name in enumerate(header, start=1) if name), default=0)
+    index = partial(_index, mapping, header)
     stated_times = table.time if isinstance(table.time, tuple) else (table.time,)
     times = [index(column, "time") for column in stated_times if column is not None]
     positions = [index(joint.position, f"joints.{name}.position") for name, joint in table.joints.items()]
@@ -108,6 +114,10 @@ def _joint_states(path: Path, mapping: Path, table: JointTable) -> Iterator[tupl
     ]
     scales = np.array([SCALES[joint.unit] for joint in table.joints.values()])
     for count, (line, row) in enumerate(item for item in rows if any(item[1])):
+        columns = columns or len(row)
+        if len(row) < columns:
+            problem = f"has {len(row)} fields, the first row {columns}: must be as many"
+            raise BagError(f"{path}: line {line}: {problem}")
         try:
             if table.rate is None:
                 stamp_ns = _stamp_ns([row[i] for i in times], NS_PER_UNIT[table.time_unit], number)

@@ -21,6 +21,7 @@ joints:
   joint3: {position: c, velocity: vc, unit: mm}
 """
 HEADER = "t,a,b,c,va,vb,vc"
+NUMBERED = "time: 0\nheader: false\njoints: {joint1: {position: 1}}"
 
 
 def states_of(tmp_path: Path, text: str, mapping: str | Path = MAPPING) -> tuple[ImportedJointStates, list[JointState]]:
@@ -68,7 +69,8 @@ def test_positions_alone_give_no_velocity(tmp_path: Path) -> None:
     ("text", "mapping", "message"),
     [
         (f"{HEADER}\n1,x,2,3,4,5,6", MAPPING, "log.csv: line 2: must have numbers in columns"),
-        (f"{HEADER}\n1,2,3", MAPPING, "log.csv: line 2: must have numbers in columns"),
+        (f"{HEADER},n\n1,2,3,4,5,6,7", MAPPING, "line 2: has 7 fields, the first row 8: must be as many"),
+        ("1,2,3\n1,2", NUMBERED, "log.csv: line 2: has 2 fields, the first row 3: must be as many"),
         (f"{HEADER}\n1,1,2,3,4,5,6\n1,1,2,3,4,5,6", MAPPING, "log.csv: line 3: time: must be later"),
         (f"{HEADER}\n1e30,1,2,3,4,5,6", MAPPING, "line 2: must have numbers"),
         (HEADER, MAPPING, "log.csv: has no rows of numbers"),
