@@ -91,7 +91,7 @@ def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> RobotDescri
     those that match a glob of `settings.locked_joints`, are fixed: the mass behind them counts, their motion does not.
     `settings.armature` wins over the rotor inertia of the URDF. Raises RobotError.
     """
-    tree = read_urdf(text, origin, settings.locked_joints, settings.position_limits)
+    tree = read_urdf(text, origin, settings.locked_joints)
     _require_matches(settings.locked_joints, tree)
     notes, tip = list[str](), tree.tip(tree.base)
     entries = tuple(dict.fromkeys(entry for entry in settings.contact_points if entry != WHOLE_ARM))
@@ -104,6 +104,7 @@ def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> RobotDescri
     tree.require_no_follower(needed)
     for name in sorted(needed):
         tree.require_movable(name)
+    _set_limits(tree, needed - tree.locked, settings.position_limits)
     fixed = {name for name in tree.joints if tree.kind(name) != "fixed" and (name not in needed or name in tree.locked)}
     if fixed:
         notes.append(f"held fixed in the model: {', '.join(sorted(fixed))}")
@@ -295,24 +296,27 @@ def _reduced_model(tree: UrdfTree, fixed: set[str]) -> tuple[pin.Model, dict[str
         for link in root.findall("link"):  # the parser prints messages on geometry, which the model does not need
             for geometry in (*link.findall("visual"), *link.findall("collision")):
                 link.remove(geometry)
+        # A joint may have the name of a link, which Pinocchio cannot reduce.
+        renamed = {name: f"{name} (joint)" if name in tree.links else name for name in tree.joints}
+        for joint in root.findall("joint"):
+            joint.set("name", renamed[joint.get("name", "")])
         model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
         reference = np.clip(pin.neutral(model), model.lowerPositionLimit, model.upperPositionLimit)
-        joints = {name: model.getJointId(name) for name in sorted(fixed)}
-        # A continuous joint has cosine and sine, and is held at zero.
+        joints = {name: model.getJointId(renamed[name]) for name in sorted(fixed)}
+        # A planar or floating joint has several coordinates, and is held at zero.
         places = {name: (model.idx_qs[joint], model.nqs[joint]) for name, joint in joints.items()}
         positions = {name: float(reference[index]) if size == 1 else 0.0 for name, (index, size) in places.items()}
-        return pin.buildReducedModel(model, list(joints.values()), reference), positions
+        reduced = pin.buildReducedModel(model, list(joints.values()), reference)
+        for name, unique in renamed.items():
+            if reduced.existJointName(unique):
+                reduced.names[reduced.getJointId(unique)] = name
+        return reduced, positions
     except (ValueError, RuntimeError) as error:  # RuntimeError includes that of elements nested too deeply
         raise RobotError(f"{tree.origin}: Pinocchio cannot read it: {' '.join(str(error).split())}") from None
 
 
-def read_urdf(
-    text: str, origin: str, locked_joints: Sequence[str], limits: Mapping[str, tuple[float, float]]
-) -> UrdfTree:
-    """Return the tree of the URDF `text`; a continuous joint becomes a revolute one.
-
-    `limits` [rad or m] replace those of the joints that they name; locked joints need none. Raises RobotError.
-    """
+def read_urdf(text: str, origin: str, locked_joints: Sequence[str]) -> UrdfTree:
+    """Return the tree of the URDF `text`, without a check of the limits of joints. Raises RobotError."""
     if "<!ENTITY" in text:
         raise RobotError(f"{origin}: must not define XML entities")
     try:
@@ -332,11 +336,6 @@ def read_urdf(
         _check_pose(joint, where)
         for dynamics in joint.findall("dynamics"):
             dynamics.attrib.setdefault("damping", "0")  # urdfdom refuses an armature alone
-        if joint.get("type") in MOVING:
-            name = joint.get("name", "")
-            _add_limit(joint, limits.get(name), is_locked=_is_locked(name, locked_joints))
-            if not _is_locked(name, locked_joints):
-                _check_limit(joint, where)
     return UrdfTree(root, origin, locked_joints)
 
 
@@ -593,9 +592,20 @@ def _require_matches(globs: Sequence[str], tree: UrdfTree) -> None:
             raise RobotError(f"{tree.origin}: locked_joints = {glob!r}: must match a joint: {', '.join(joints)}")
 
 
-def _add_limit(joint: ET.Element, limits: tuple[float, float] | None, *, is_locked: bool) -> None:
+def _set_limits(tree: UrdfTree, moved: Collection[str], limits: Mapping[str, tuple[float, float]]) -> None:
+    """Check the limits of joints, those of `limits` [rad or m] in place of others; only the joints `moved` need some.
+
+    A continuous joint becomes a revolute one. Raises RobotError.
+    """
+    for name, joint in tree.joints.items():
+        if tree.kind(name) in MOVING:
+            _add_limit(joint, limits.get(name), is_held=name not in moved)
+            _check_limit(joint, f"{tree.origin}: joint {name}", is_held=name not in moved)
+
+
+def _add_limit(joint: ET.Element, limits: tuple[float, float] | None, *, is_held: bool) -> None:
     """Replace the ends of the <limit> of `joint` by `limits`, and complete it, which urdfdom requires."""
-    if limits is None and not is_locked:
+    if limits is None and not is_held:
         return
     limit = joint.find("limit")
     if limit is None:
@@ -607,7 +617,7 @@ def _add_limit(joint: ET.Element, limits: tuple[float, float] | None, *, is_lock
         limit.attrib.update(lower=str(limits[0]), upper=str(limits[1]))
 
 
-def _check_limit(joint: ET.Element, where: str) -> None:
+def _check_limit(joint: ET.Element, where: str, *, is_held: bool) -> None:
     limit = joint.find("limit")
     if joint.get("type") == "continuous":
         joint.set("type", "revolute")
@@ -619,7 +629,7 @@ def _check_limit(joint: ET.Element, where: str) -> None:
     if limit is None:
         raise RobotError(f"{where}: must have <limit> with lower < upper{hint}")
     lower, upper = (numbers_of(limit, key, where, 1, default="0", largest=math.inf)[0] for key in ("lower", "upper"))
-    if lower >= upper:
+    if lower >= upper and not is_held:
         raise RobotError(f"{where}: limit lower = {lower:g}: must be < upper = {upper:g}{hint}")
     if numbers_of(limit, "velocity", where, 1, largest=math.inf)[0] < 0.0:
         raise RobotError(f"{where}: limit velocity = {limit.get('velocity')!r}: must not be negative")

@@ -114,7 +114,7 @@ def arm(*links: str) -> str:
 
 def hulls(text: str, package_dirs: Sequence[Path] = (), locked: Sequence[str] = ()) -> list[LinkHull]:
     model = parse_urdf(text, "arm.urdf", MonitorSettings(locked_joints=tuple(locked))).model
-    tree = read_urdf(text, "arm.urdf", locked, {})
+    tree = read_urdf(text, "arm.urdf", locked)
     frames = {name: model.frames[model.getBodyId(name)] for name in tree.links}
     return urdf_hulls(tree.links, tree.origin, frames, package_dirs)
 

@@ -145,6 +145,18 @@ def test_longest_chain_has_most_moving_joints_then_most_joints(branch: str, tip:
     assert list(robot.contact_frames) == [tip]
 
 
+@pytest.mark.parametrize("locked", [(), ("tool",), ("j1",)])
+def test_joint_may_have_the_name_of_a_link(locked: tuple[str, ...]) -> None:
+    text = SCARA.replace('joint name="j4"', 'joint name="tool"').replace('joint name="weld"', 'joint name="tip"')
+    robot = parse(text, contact_points=("tool", "tip"), locked_joints=locked)
+    other = parse(contact_points=("tool", "tip"), locked_joints=[name.replace("tool", "j4") for name in locked])
+    assert robot.joint_names == tuple(name.replace("j4", "tool") for name in other.joint_names)
+    assert [held.name for held in robot.held] == [*locked]
+    q, qd = np.full(robot.model.nv, 0.3), np.ones(robot.model.nv)
+    contacts, others = (RobotDynamics(each).at(q, qd).contacts for each in (robot, other))
+    assert [contact.full for contact in contacts] == [contact.full for contact in others]
+
+
 def test_continuous_joint_keeps_one_coordinate_up_to_a_million_radians() -> None:
     robot = parse()
     assert robot.model.nq == robot.model.nv == 4
@@ -239,6 +251,13 @@ class TestFixedJoints:
             RobotError, match=r'joint gripper: .*, in the file or as joint_limits "gripper=LOWER UPPER"'
         ):
             parse(text, locked_joints=())
+        beside = text.replace('parent link="tool"/><child link="jaw"', 'parent link="base"/><child link="jaw"')
+        assert parse(beside, locked_joints=()).joint_names == ("j1", "j2", "j3", "j4")
+
+    def test_limit_of_a_held_joint_is_a_number(self) -> None:
+        text = with_more(link("jaw", 0.3), joint("gripper", "tool", "jaw", inside='<limit upper="nan"/>'))
+        with pytest.raises(RobotError, match="joint gripper: <limit upper> = 'nan': must be 1 finite number"):
+            parse(text)
 
     @pytest.mark.parametrize("limit", ["", '<limit lower="0" upper="0" effort="1" velocity="3"/>', "<limit/>"])
     def test_limits_by_option(self, limit: str) -> None:
@@ -307,7 +326,6 @@ class TestFixedJoints:
         ('name="j2"', 'name="j1"', "joint 'j1': must have a unique name"),
         ('<joint name="j2"', "<joint", "joint '': must have a unique name"),
         ('<link name="fore"', '<link name="upper"', "link 'upper': must have a unique name"),
-        ('name="j2"', 'name="base"', "Several frames match"),
         ('<child link="fore"/>', "", "joint j2: child = '': must be a link"),
         ('<child link="fore"/>', '<child link="for"/>', "joint j2: child = 'for': must be a link"),
         ('<parent link="upper"/>', '<parent link="tip"/>', "must not form a loop"),
