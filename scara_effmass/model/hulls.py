@@ -45,6 +45,8 @@ _MIN_GAIN = 5e-3
 """Share by which a change must reduce the sum of squared distances."""
 _SIDES, _ARCS = 32, 15
 """Sides of the polygon around a circle, and of that around half a circle, odd."""
+_PACKAGE_LEVELS = 4
+"""Number of levels of stated folders with packages: those of a repository in a workspace's `src` lie on the third."""
 _ROUND = {"radius": 1, "length": 1}
 _ATTRIBUTES = {"box": {"size": 3}, "cylinder": _ROUND, "sphere": {"radius": 1}, "capsule": _ROUND}
 """Attributes of the shapes of a URDF, each with its count of numbers, in the order of `settings.Shape.sizes`."""
@@ -109,12 +111,14 @@ def shape_points(kind: str, sizes: Sequence[float]) -> FloatArray:
 def package_folders(path: Path | None, stated: Sequence[Path]) -> list[Path]:
     """Return the folders in which to search for the packages and relative file names of the URDF at `path`.
 
-    They are the `stated` ones, then `share` of each prefix in AMENT_PREFIX_PATH, then those above the URDF, its own
-    first. A URDF that is no file has none of the last.
+    They are the `stated` ones, the packages in them, then `share` of each prefix in AMENT_PREFIX_PATH, then those above
+    the URDF, its own first. A URDF that is no file has none of the last.
     """
+    levels = ["*/" * level + "package.xml" for level in range(_PACKAGE_LEVELS)]
+    packages = [file.parent for folder in stated for level in levels for file in sorted(folder.glob(level))]
     prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
     above = [] if path is None else [*path.absolute().parents, *path.resolve().parents]
-    return list(dict.fromkeys([*stated, *(Path(prefix, "share") for prefix in prefixes if prefix), *above]))
+    return list(dict.fromkeys([*stated, *packages, *(Path(prefix, "share") for prefix in prefixes if prefix), *above]))
 
 
 def outer_vertices(points: FloatArray) -> FloatArray:
@@ -183,19 +187,33 @@ def _mesh_points(shape: ET.Element, where: str, package_dirs: Sequence[Path]) ->
     scale = np.array(numbers_of(shape, "scale", where, 3, "1 1 1"))
     try:
         file = name.partition("://")[2] or name
-        path = next(path for folder in (*package_dirs, Path("/")) if (path := folder / file).is_file())
+        package, _, rest = file.partition("/")
+        places = chain(
+            (folder / file for folder in (*package_dirs, Path("/"))),
+            (folder / rest for folder in package_dirs if _is_package(folder, package)),
+        )
+        path = next(path for path in places if path.is_file())
         if path.suffix.lower() == ".dae":  # Pinocchio's loader ignores the unit, RViz does not
             unit = re.search(rb"<unit[^>]*\smeter\s*=\s*[\"']([^\"']*)", path.read_bytes())
             scale *= 1.0 if unit is None else float(unit[1])
         points = np.array(pin.MeshLoader().load(str(path), scale).vertices(), dtype=float)
     except (StopIteration, OSError):
-        rule = "must be a file that can be read: name the folder of its package by package_dirs (--package-dir)"
-        raise RobotError(f"{where}: mesh = {name!r}: {rule}") from None
+        remedy = "name the folder of its package, or one above, by package_dirs (--package-dir)"
+        raise RobotError(f"{where}: mesh = {name!r}: must be a file that can be read: {remedy}") from None
     except (ValueError, RuntimeError):
         points = np.empty((0, 3))
     if not len(points) or not np.isfinite(points).all():
         raise RobotError(f"{where}: mesh = {name!r}: must be a mesh in STL, OBJ, COLLADA or the like")
     return points
+
+
+def _is_package(folder: Path, name: str) -> bool:
+    """Return whether `folder` is the ROS package `name` by its package.xml, or by its own name without one."""
+    try:
+        found = re.search(r"<name>\s*(.*?)\s*</name>", (folder / "package.xml").read_text("utf-8", errors="replace"))
+    except OSError:
+        return folder.resolve().name == name
+    return found is not None and found[1] == name
 
 
 def _hull_of(points: FloatArray) -> ConvexHull:

@@ -307,12 +307,12 @@ def _reduced_model(tree: UrdfTree, fixed: set[str]) -> tuple[pin.Model, dict[str
         places = {name: (model.idx_qs[joint], model.nqs[joint]) for name, joint in joints.items()}
         positions = {name: float(reference[index]) if size == 1 else 0.0 for name, (index, size) in places.items()}
         reduced = pin.buildReducedModel(model, list(joints.values()), reference)
-        for name, unique in renamed.items():
-            if reduced.existJointName(unique):
-                reduced.names[reduced.getJointId(unique)] = name
-        return reduced, positions
     except (ValueError, RuntimeError) as error:  # RuntimeError includes that of elements nested too deeply
         raise RobotError(f"{tree.origin}: Pinocchio cannot read it: {' '.join(str(error).split())}") from None
+    for name, unique in renamed.items():
+        if reduced.existJointName(unique):
+            reduced.names[reduced.getJointId(unique)] = name
+    return reduced, positions
 
 
 def read_urdf(text: str, origin: str, locked_joints: Sequence[str]) -> UrdfTree:

@@ -302,6 +302,28 @@ class TestMeshes:
         monkeypatch.delenv("AMENT_PREFIX_PATH")
         assert package_folders(None, [stated]) == [stated]
 
+    @pytest.mark.parametrize(
+        ("stated", "place", "named"),
+        [
+            ("x", "x", ""),
+            ("checkout", "checkout", "x"),
+            ("src", "src/repository/robots/x", "x"),
+            ("src", "src/repository/arm", "x"),
+            ("x", "x", "another"),
+            ("src", "src/repository/robots/too/deep", "x"),
+        ],
+    )
+    def test_stated_folder_is_a_package_or_above_one(self, tmp_path: Path, stated: str, place: str, named: str) -> None:
+        write_stl(tmp_path / place / "meshes" / "a.stl")
+        if named:
+            (tmp_path / place / "package.xml").write_text(f"<package>\n<name> {named} </name></package>")
+        folders, mesh = package_folders(None, [tmp_path / stated]), '<mesh filename="package://x/meshes/a.stl"/>'
+        if named == "another" or "deep" in place:
+            with pytest.raises(RobotError, match="name the folder of its package, or one above, by package_dirs"):
+                upper_hull(mesh, package_dirs=folders)
+        else:
+            assert_contains(upper_hull(mesh, package_dirs=folders).vertices, TETRAHEDRON * 0.999)
+
     @pytest.mark.parametrize("name", ["package://x/a.stl", "a.stl", "file:///none/a.stl", "", "x" * 300])
     def test_missing_mesh(self, tmp_path: Path, name: str) -> None:
         with pytest.raises(RobotError) as caught:

@@ -134,7 +134,9 @@ def test_without_a_mesh_only_the_tip_is_watched_which_is_an_assumption(arm: Path
     robot = load_robot(arm, settings)
     assert RobotDynamics(robot).contact_points == ("camera",)
     assert not robot.hulls
-    rule = "must be a file that can be read: name the folder of its package by package_dirs (--package-dir)"
+    rule = (
+        "must be a file that can be read: name the folder of its package, or one above, by package_dirs (--package-dir)"
+    )
     note = f"link upper_arm: collision: mesh = 'package://p/a.stl': {rule}"
     assert f"only the tip is watched, not whole_arm: {note}" in robot.notes
     assert Assumption.CONTACT_POINTS in assumptions_of(robot, settings).assumed
