@@ -132,8 +132,8 @@ def build_robot(stated: RobotDescription, settings: MonitorSettings) -> Robot:
     judged = judge(robot)
     robot = replace(robot, reach=judged.reach, units_reason=judged.units, notes=(*robot.notes, *judged.notes))
     masses = robot.masses_reason or judged.masses
-    coms = robot.coms_reason or judged.masses or judged.inertials
-    inertias = robot.inertias_reason or judged.masses or judged.inertials
+    coms = robot.coms_reason or judged.masses
+    inertias = robot.inertias_reason or judged.masses
     return replace(robot, masses_reason=masses, coms_reason=coms, inertias_reason=inertias)
 
 

@@ -7,6 +7,7 @@ reach squared [kg/m3], joint ranges of at most 20 rad, radii of gyration of 0.08
 """
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -26,11 +27,14 @@ LIGHT_LINK_DENSITY = 0.1
 """Mass of a link over its length and the square of the reach [kg/m3] below which it does not count."""
 MAX_DISTANCE_M = 5.0
 """Distance of a centre of mass from its joint, or radius of gyration, if it also exceeds three reaches."""
+FAR_GEOMETRY = 0.7
+"""Distance of geometry from the frame of its link over the reach; it is at most 0.5 in 55 arms, legs and humanoids."""
 MIN_DEGREES, MAX_DEGREES = 50.0, 1500.0
 """Between these, the range [rad] of a revolute joint is one in degrees if all are; a wider one means no limit."""
 WIDE_RANGE_RAD, WIDE_RANGE_M, NO_RANGE = 6.0 * math.pi + 0.01, 10.0, 1e5
 _TRIANGLE = 1e-3
 """Relative tolerance of the triangle inequality, for values rounded in the file."""
+_MASS_REMEDY = "correct the masses, or state moving_mass"
 
 
 class InertialCheck(NamedTuple):
@@ -53,6 +57,8 @@ def check_inertials(links: Sequence[StatedLink]) -> InertialCheck:
         masses = "every link has mass 1 and identity inertia: placeholders, not data"
     if len(heavy) > 1 and all(np.allclose(link.com, 0.0) for link in heavy):
         coms = "every centre of mass lies at its link's origin: placeholders, not data"
+        if max(Counter(link.mass for link in heavy).values()) >= max(3, len(heavy) - 1):
+            masses = masses or f"the same mass at the origin of each link: placeholders, not data: {_MASS_REMEDY}"
     without_inertia = [link.name for link in heavy if np.allclose(link.inertia, 0.0, atol=1e-12)]
     if len(without_inertia) == len(heavy):
         inertias = "the file gives no inertia tensors"
@@ -81,15 +87,13 @@ def triangle_error(link: StatedLink) -> str:
 class Plausibility(NamedTuple):
     """Reach [m] from the first joint, why the units are certainly not SI (empty if they may be), and doubts.
 
-    `masses` states why masses are too small for an arm of that reach, `inertials` why they are placeholders; empty if
-    they are not.
+    `masses` states why masses are too small for an arm of that reach, or placeholders; empty if they are not.
     """
 
     reach: float
     units: str
     notes: tuple[str, ...]
     masses: str = ""
-    inertials: str = ""
 
 
 def judge(robot: Robot) -> Plausibility:
@@ -115,8 +119,8 @@ def judge(robot: Robot) -> Plausibility:
     if matrices:
         mobility = np.array(jacobians) @ np.linalg.pinv(np.array(matrices)) @ np.array(jacobians).swapaxes(1, 2)
         mass = float(np.median(3.0 / np.trace(mobility, axis1=1, axis2=2).clip(1e-12)))
-    notes = (*_doubts(robot, reach, arm_reach, mass), *_joint_doubts(robot, gravity))
-    return Plausibility(reach, "", notes, _too_light(robot, arm_reach), _equal_links(robot))
+    notes = (*_doubts(robot, reach, arm_reach, mass), *_hull_doubts(robot, reach), *_joint_doubts(robot, gravity))
+    return Plausibility(reach, "", notes, _too_light(robot, arm_reach) or _equal_links(robot))
 
 
 def _limits(robot: Robot) -> tuple[FloatArray, FloatArray]:
@@ -135,15 +139,14 @@ def _reach(robot: Robot, data: pin.Data, q: FloatArray) -> float:
 def _too_light(robot: Robot, reach: float) -> str:
     """Return why the moving mass is too small for an arm with this `reach` [m], empty if it is not."""
     mass, reach_m = robot.moving_mass + robot.payload_mass, max(reach, MIN_REACH_M)
-    remedy = "correct the masses, or state moving_mass"
     if mass < LIGHT_DENSITY * reach_m**3:
         share = "less than half as much as in the lightest arms"
-        return f"{mass:.3g} kg move at a reach of {reach:.3g} m, {share}: {remedy}"
+        return f"{mass:.3g} kg move at a reach of {reach:.3g} m, {share}: {_MASS_REMEDY}"
     for name, length, body in _links(robot):
         if length > MAX_VIRTUAL_M and 0.0 < body.mass < LIGHT_LINK_DENSITY * length * reach_m**2:
             return (
                 f"{body.mass:.3g} kg in the {length:.3g} m long link behind {name}, less than a fifth of that in the "
-                f"lightest arms: {remedy}"
+                f"lightest arms: {_MASS_REMEDY}"
             )
     return ""
 
@@ -158,7 +161,8 @@ def _equal_links(robot: Robot) -> str:
         lengths = [length for _, length, _ in equal]
         if len(equal) > 2 and min(lengths) < 0.9 * max(lengths):
             names = ", ".join(name for name, *_ in equal)
-            return f"equal masses and inertias of unequal links, behind {names}: placeholders, not data"
+            problem = f"equal masses and inertias of unequal links, behind {names}"
+            return f"{problem}: placeholders, not data: {_MASS_REMEDY}"
     return ""
 
 
@@ -208,9 +212,6 @@ def _doubts(robot: Robot, reach: float, arm_reach: float, mass: float) -> Iterat
     link, length = _longest_link(robot)
     if length > LONG_LINK_M or reach < MIN_REACH_M:
         yield f"check the lengths: reach {reach:.3g} m, {link} is {length:.3g} m long"
-    name, extent = _longest_hull(robot)
-    if extent > max(3.0 * reach, LONG_LINK_M):
-        yield f"check the geometry of {name}: {extent:.3g} m long, reach {reach:.3g} m"
     densities = [robot.moving_mass / max(length, MIN_REACH_M) ** 3 for length in (reach, arm_reach)]
     if not robot.masses_reason and (densities[0] > HIGH_DENSITY or densities[1] < LOW_DENSITY):
         yield f"check the masses: {robot.moving_mass:.3g} kg move at a reach of {reach:.3g} m"
@@ -225,6 +226,19 @@ def _doubts(robot: Robot, reach: float, arm_reach: float, mass: float) -> Iterat
         yield f"check masses and inertias: the effective mass is typically {ratio:.2g} of the moving mass"
     if robot.payload_mass > 3.0 * robot.moving_mass:
         yield f"check the payload: {robot.payload_mass:.4g} kg on {robot.moving_mass:.3g} kg moving mass"
+
+
+def _hull_doubts(robot: Robot, reach: float) -> Iterator[str]:
+    """Yield geometry that is longer than the robot, or far from the frame of its link."""
+    name, extent = _longest_hull(robot)
+    if extent > max(3.0 * reach, LONG_LINK_M):
+        yield f"check the geometry of {name}: {extent:.3g} m long, reach {reach:.3g} m"
+    for name, hull in robot.hulls.items():
+        place = robot.model.frames[robot.contact_frames[name]].placement
+        points = (hull - place.translation) @ place.rotation
+        distance = float(np.linalg.norm(np.clip(0.0, points.min(axis=0), points.max(axis=0))))
+        if distance > FAR_GEOMETRY * reach:
+            yield f"check the geometry of {name}: {distance:.3g} m from the frame of the link, reach {reach:.3g} m"
 
 
 def _joint_doubts(robot: Robot, gravity: FloatArray) -> Iterator[str]:

@@ -135,8 +135,9 @@ def test_equal_inertias_of_three_unequal_links_are_placeholders(place: str, equa
     links = (link(f"l{i}", 3) for i in (1, 2, 3))
     joints = *ARM[4:6], joint("j3", "l2", "l3", axis="0 1 0", place=place), ARM[7]
     robot = robot_of(link("chassis", 60), *links, link("tool", 0), *joints, contact_points=("tool",))
-    text = "equal masses and inertias of unequal links, behind j1, j2, j3: placeholders, not data" if equal else ""
-    assert (robot.masses_reason, robot.coms_reason, robot.inertias_reason) == ("", text, text)
+    remedy = "placeholders, not data: correct the masses, or state moving_mass"
+    text = f"equal masses and inertias of unequal links, behind j1, j2, j3: {remedy}" if equal else ""
+    assert (robot.masses_reason, robot.coms_reason, robot.inertias_reason) == (text, text, text)
 
 
 def test_inertia_of_a_link_that_does_not_move_may_be_impossible() -> None:

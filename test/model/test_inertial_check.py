@@ -8,8 +8,8 @@ from scara_effmass.model.description import StatedLink
 from scara_effmass.model.plausibility import check_inertials
 
 
-def link(name: str, mass: float = 1.0, inertia: float = 1.0) -> StatedLink:
-    return StatedLink(name, mass, np.array([0.1, 0.0, 0.0]), inertia * np.eye(3))
+def link(name: str, mass: float = 1.0, inertia: float = 1.0, com: float = 0.1) -> StatedLink:
+    return StatedLink(name, mass, np.array([com, 0.0, 0.0]), inertia * np.eye(3))
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])
@@ -25,6 +25,17 @@ def test_one_plausible_link_makes_the_others_a_note() -> None:
     check = check_inertials([link("a"), link("b"), link("c", inertia=0.01)])
     assert (check.masses, check.inertias) == ("", "")
     assert check.notes == ("placeholder inertia, used as stated, which makes the robot heavier: a, b",)
+
+
+@pytest.mark.parametrize(
+    ("masses", "com", "found"),
+    [((3, 3, 3), 0.0, True), ((3, 3, 3, 2), 0.0, True), ((3, 3, 2, 2), 0.0, False), ((3, 3, 3), 0.1, False)],
+)
+def test_the_same_mass_at_the_origin_of_each_link_is_a_placeholder(
+    masses: tuple[float, ...], com: float, *, found: bool
+) -> None:
+    check = check_inertials([link("a", mass, inertia=0.01, com=com) for mass in masses])
+    assert ("the same mass at the origin of each link: placeholders" in check.masses) == found
 
 
 @pytest.mark.parametrize(("deviation", "found"), [(0.9e-6, True), (1.1e-6, False)])

@@ -92,6 +92,14 @@ def test_geometry_in_millimetres_is_refused(arm: Path) -> None:
     )
 
 
+@pytest.mark.parametrize(("x", "distance"), [("0.55", ""), ("-0.65", "0.4")])
+def test_geometry_far_from_its_link_is_doubted(arm: Path, x: str, distance: str) -> None:
+    arm.write_text(arm.read_text(encoding="utf-8").replace('xyz="0.1 0 0"', f'xyz="{x} 0 0"'))
+    doubts = [note for note in load_robot(arm).notes if note.startswith("check the geometry")]
+    text = f"check the geometry of forearm: {distance} m from the frame of the link, reach 0.5 m"
+    assert doubts == ([text] if distance else [])
+
+
 def test_contact_links_choose_among_the_boxes_of_a_dh_file() -> None:
     robot = load_robot(settings=MonitorSettings(contact_links=("link[24]",)))
     assert {*robot.hulls} == {"link2", "link4"}
