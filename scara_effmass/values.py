@@ -402,7 +402,7 @@ class RefusedImpact(NamedTuple):
 
     `excluded`: because of the impact itself; otherwise it could not be matched with the robot's state. `reason` is the
     category by which such impacts are counted, `detail` describes this one and may be empty. `speed` [m/s] is that of a
-    press at its onset, 0 if it is not known.
+    press at its onset, 0 if it is not known. `load_force` [N] lay beneath the peak.
     """
 
     stamp_ns: int
@@ -413,6 +413,7 @@ class RefusedImpact(NamedTuple):
     held_force: float = 0.0
     speed: float = 0.0
     simulated: bool = False
+    load_force: float = 0.0
 
 
 class RunInfo(NamedTuple):

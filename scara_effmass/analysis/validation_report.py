@@ -35,7 +35,7 @@ from scara_effmass.analysis.report import (
     write_report_files,
 )
 from scara_effmass.analysis.validation import Validation, ValidationSettings
-from scara_effmass.impacts.agreement import region_force
+from scara_effmass.impacts.agreement import RegionForce, region_force
 from scara_effmass.impacts.impact_matcher import REBOUND
 from scara_effmass.impacts.load import left_out_text
 from scara_effmass.impacts.validator import ModelResult, Result
@@ -160,14 +160,20 @@ def worst_impact(result: Result) -> ValidatedImpact | None:
 
 
 def limit_text(result: Result) -> str:
-    """Return the largest force on a body region relative to its limit, in one line."""
-    worst = worst_impact(result)
-    if worst is None:
-        peak = max((impact.peak_force for impact in result.refused), default=0.0)
-        return f"no peak could be converted to a body region; largest measured peak {peak:.0f} N" if peak else NO_FORCE
-    above = f"{sum(impact.exceeds_limit for impact in result.impacts)} of {len(result.impacts)} impacts above the limit"
-    largest = f"largest {at_least(worst.region_force, 0)} N of {at_most(worst.limit_force, 0)} N ({worst.body_region})"
-    return f"{above}; {largest}, converted from a measured peak of {worst.measured_force:.0f} N"
+    """Return the largest force on a body region relative to its limit, and what is not known, in one line."""
+    others, worst = result.left_out, worst_impact(result)
+    count = len(result.impacts) + others.contacts
+    if not count:
+        return NO_FORCE
+    if worst is None or others.exceedances:
+        force, origin = others.worst, "left out of the series"
+    else:
+        force = RegionForce(worst.body_region, worst.region_force, worst.limit_force, "")
+        origin = f"converted from a measured peak of {worst.measured_force:.0f} N"
+    kind = "contacts" if others.contacts else "impacts"
+    largest = f"largest {at_least(force.force, 0)} N of {at_most(force.limit, 0)} N ({force.region}), {origin}"
+    unknown = f"; {result.unmeasured} clipped, incomplete or stuck: force not known" if result.unmeasured else ""
+    return f"{result.exceedances} of {count} {kind} above the limit; {largest}{unknown}"
 
 
 def held_text(result: Result) -> str:
@@ -276,7 +282,7 @@ def _verdict(result: Result) -> str:
     """Return the verdict that the page shows: a force above a limit is a violation, however good the model is."""
     if result.exceedances or (result.decidable and not result.accepted):
         return Verdict.VIOLATION.name
-    return Verdict.OK.name if result.accepted else Verdict.UNKNOWN.name
+    return Verdict.OK.name if result.accepted and result.within_limits else Verdict.UNKNOWN.name
 
 
 def _regions(validation: Validation, settings: ValidationSettings) -> Iterator[tuple[Limit, float | None]]:

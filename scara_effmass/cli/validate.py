@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
     notes = [robot_line(dynamics.robot, settings.monitor), *input_lines(settings.monitor, settings.time)]
     lines = [*summary_lines(validation), *notes, ("written", args.output / PAGE)]
     print_result({**result, "output": str(args.output)}, lines, as_json=args.json)
-    return 0 if validation.result.accepted and not validation.result.exceedances else NOT_ACCEPTED
+    return 0 if validation.result.accepted and validation.result.within_limits else NOT_ACCEPTED
 
 
 def validated(args: argparse.Namespace, settings: ValidationSettings) -> Validation:

@@ -26,6 +26,9 @@ MAX_CLOCK_RESIDUAL_S = 60.0
 MIN_NORMAL_COMPONENT = 0.1
 """Minimum component of the velocity, or of the sensor's axis, along the normal of the plate."""
 REBOUND = "rebound of an earlier impact"
+LARGER_REBOUND = "rebound of an earlier impact, but larger"
+CLIPPED = "clipped: the force reached the end of the measuring range"
+INCOMPLETE = "incomplete: samples were lost during it"
 DUPLICATE = "duplicate: an impact of this source with this stamp came before"
 PRESS = "press: the force rose slowly, or stayed near its peak"
 MAX_LAGS = 1000
@@ -242,6 +245,7 @@ class ImpactMatcher:
         self.states.late = 0
         self.seen = 0
         self._known: set[tuple[int, str, str]] = set()
+        self._primary_peaks: dict[tuple[str, str], float] = {}
         self.refused: list[RefusedImpact] = []
 
     def begin_recording(self) -> None:
@@ -249,6 +253,7 @@ class ImpactMatcher:
         self.states.clear()
         self.clock.clear()
         self._known.clear()
+        self._primary_peaks.clear()
         self.runs.restart()
 
     def add_impact(self, impact: Impact, received_ns: int) -> None:
@@ -270,6 +275,7 @@ class ImpactMatcher:
                 held_force=impact.held_force and impact.held_force + impact.load_force,
                 speed=speed,
                 simulated=impact.simulated,
+                load_force=impact.load_force,
             )
         )
 
@@ -283,6 +289,10 @@ class ImpactMatcher:
                 self.refuse(impact._replace(held_force=0.0), Rejection(DUPLICATE), excluded=True)
                 continue
             self._known.add(key)
+            if not impact.rebound:
+                self._primary_peaks[key[1:]] = impact.peak_force
+            elif reason == REBOUND and not impact.peak_force <= self._primary_peaks.get(key[1:], 0.0):
+                reason = LARGER_REBOUND
             if reason:
                 state = self._onset_state(impact, received_ns, run.normal) if reason == PRESS else Rejection("")
                 speed = 0.0 if isinstance(state, Rejection) else state.speed
@@ -345,8 +355,8 @@ def _invalid_reason(impact: Impact) -> str:
     """Return why `impact` is not a valid measurement of a collision; empty if it is."""
     has_stamp = impact.stamp_ns > 0 and abs(impact.clock_residual) <= MAX_CLOCK_RESIDUAL_S
     reasons = {
-        "clipped: the force reached the end of the measuring range": impact.clipped,
-        "incomplete: samples were lost during it": impact.incomplete,
+        CLIPPED: impact.clipped,
+        INCOMPLETE: impact.incomplete,
         REBOUND: impact.rebound > 0,
         PRESS: impact.is_press,
         "no positive peak force": not MIN_PEAK_FORCE <= impact.peak_force < math.inf,

@@ -3,7 +3,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, fields
 from typing import NamedTuple, TypeVar
 
@@ -24,7 +24,17 @@ from scara_effmass.impacts.agreement import (
     static_force,
 )
 from scara_effmass.impacts.criterion import Series, criterion_hash, decide
-from scara_effmass.impacts.impact_matcher import PRESS, ImpactMatcher, MatchedImpact
+from scara_effmass.impacts.impact_matcher import (
+    CLIPPED,
+    DUPLICATE,
+    INCOMPLETE,
+    PRESS,
+    REBOUND,
+    ImpactMatcher,
+    MatchedImpact,
+)
+from scara_effmass.impacts.load import LOADS
+from scara_effmass.impacts.segment import STUCK
 from scara_effmass.impacts.state_history import MODELS, ClockOffset, Rejection, clock_offset
 from scara_effmass.iso15066 import limits_for
 from scara_effmass.settings import ContactType, MassModel, ValidatorSettings
@@ -33,6 +43,7 @@ from scara_effmass.values import (
     Decision,
     ForceBlock,
     Impact,
+    LeftOut,
     RefusedImpact,
     RunInfo,
     SeriesStatistics,
@@ -63,24 +74,21 @@ class ModelResult(NamedTuple):
     reason: str
 
 
-class _Summary(NamedTuple):
-    """The result of each model without its groups, the statistics of the selected one, and the offset of the clocks."""
-
-    models: Mapping[str, ModelResult]
-    statistics: SeriesStatistics
-    clock: ClockOffset
-
-
-class HeldForces(NamedTuple):
-    """Contacts whose force stayed, in the series or left out: how many, how many exceed a limit, and the worst one.
-
-    What stayed is compared with the quasi-static limits, as measured. The first 0.5 s of a press, which is no impact,
-    are compared with the limits for impacts, as measured.
-    """
+class ComparedForces(NamedTuple):
+    """Contacts whose forces were compared with limits: how many, how many exceed a limit, and the worst force."""
 
     contacts: int
     exceedances: int
     worst: RegionForce
+
+
+class _Summary(NamedTuple):
+    """Each model without its groups, the statistics of the selected one, the offset of the clocks, other forces."""
+
+    models: Mapping[str, ModelResult]
+    statistics: SeriesStatistics
+    clock: ClockOffset
+    left_out: ComparedForces
 
 
 class Result(NamedTuple):
@@ -90,8 +98,12 @@ class Result(NamedTuple):
     iso, and the selected one. Predictions in `impacts` use the stiffness of the whole series. `excluded` and `unpaired`
     count the impacts in `refused` by reason. `clock` and `force_sign` describe a problem with the clocks or the sign of
     the force; empty: none. `clock_offset` is that of the impacts in the series. `gain_tolerance` is that of the sensor.
-    `exceedances` counts the impacts whose force on a body region is above its limit, and the left out contacts whose
-    `held` force is.
+    `held` are the contacts whose force stayed, in the series or left out. What stayed is compared with the quasi-static
+    limits, as measured, and the first 0.5 s of a press, which is no impact, with the limits for impacts, as measured.
+    `left_out` are the contacts left out of the series and the force in no impact; their peaks are converted with the
+    most unfavourable impact of the series, without a series as measured. Rebounds no larger than their impact count
+    with it. `exceedances` counts the impacts with a force above a limit, and those of `left_out`. `unmeasured` counts
+    the contacts whose peak is not known, because they were clipped, incomplete or stuck.
     """
 
     model: str
@@ -111,8 +123,10 @@ class Result(NamedTuple):
     clock_offset: ClockOffset
     force_sign: str
     gain_tolerance: float
-    held: HeldForces
+    held: ComparedForces
+    left_out: ComparedForces
     exceedances: int
+    unmeasured: int
     accepted: bool
     decidable: bool
     reason: str
@@ -125,12 +139,18 @@ class Result(NamedTuple):
             return "accepted"
         return f"{'not accepted' if self.decidable else 'not decidable'}: {self.reason}"
 
+    @property
+    def within_limits(self) -> bool:
+        """Whether every force is known, and none is above a limit."""
+        return not (self.exceedances or self.unmeasured)
+
 
 class Validator:
     """Validate the effective-mass models against measured impacts; the same live and offline.
 
     Decisions and impacts must each arrive in order. Their interleaving does not change the result if an impact
-    arrives within `settings.history` of the states around its onset. `runs` holds the conditions of the impacts.
+    arrives within `settings.history` of the states around its onset. `runs` holds the conditions of the impacts. The
+    caller sets `left_out`, the force that its detector found in no impact.
     """
 
     def __init__(self, settings: ValidatorSettings) -> None:
@@ -147,6 +167,7 @@ class Validator:
         self.runs = self._matcher.runs
         self._contact_point = settings.contact_point
         self._contact_points: set[str] = set()
+        self.left_out: tuple[LeftOut, ...] = ()
         self._matches: list[MatchedImpact] = []
         self._earlier = 0  # of them, those of earlier recordings
         self._min_force = self._max_force = self._stated_uncertainty = 0.0
@@ -231,6 +252,7 @@ class Validator:
         self._earlier = len(self._matches)
         mine.seen += its.seen
         mine.refused += its.refused
+        self.left_out += other.left_out
         mine.states.late += its.states.late
         self._contact_point = self._contact_point or other._contact_point  # noqa: SLF001
         self._contact_points |= other._contact_points  # noqa: SLF001
@@ -243,6 +265,7 @@ class Validator:
         """Begin a new series with the same settings, in the current run."""
         self._matcher.reset()
         self._matches.clear()
+        self.left_out = ()
         self._earlier = 0
         self._contact_points.clear()
         self._stated_uncertainty = 0.0
@@ -252,8 +275,8 @@ class Validator:
         """Return the current result of the series."""
         clock, force_sign = self._problems()
         summary = self._summary()
-        held, held_apart = self._held_forces()
         refused, statistics = self._matcher.refused, summary.statistics
+        reasons = [impact.reason for impact in refused] + [item.reason for item in self.left_out]
         return Result(
             model=self._model,
             contact_point=self._contact_point,
@@ -272,8 +295,10 @@ class Validator:
             clock_offset=summary.clock,
             force_sign=force_sign,
             gain_tolerance=self._gain_tolerance,
-            held=held,
-            exceedances=statistics.exceedances + held_apart,
+            held=self._held_forces(),
+            left_out=summary.left_out,
+            exceedances=statistics.exceedances,
+            unmeasured=sum(reason in {CLIPPED, INCOMPLETE, STUCK} for reason in reasons),
             accepted=statistics.accepted,
             decidable=statistics.decidable,
             reason=statistics.reason,
@@ -323,15 +348,19 @@ class Validator:
             for match in self._matches
         ]
         statistics = asdict(selected.overall) | selected.fit._asdict() | selected._asdict()
-        statistics |= {"clock_offset": clock.offset, "exceedances": sum(above)}
+        left_out = self._left_out_forces(selected.overall.stiffness)
+        statistics |= {"clock_offset": clock.offset, "exceedances": sum(above) + left_out.exceedances}
         names = [field.name for field in fields(SeriesStatistics)]
-        return _Summary(models, SeriesStatistics(**{name: statistics[name] for name in names}), clock)
+        return _Summary(models, SeriesStatistics(**{name: statistics[name] for name in names}), clock, left_out)
 
     def _region_force(self, match: MatchedImpact, stiffness: float) -> RegionForce:
         """Return the force on the most endangered body region, for the worse of modelled and measured mass."""
-        peak = match.impact.peak_force / match.force_share
+        return self._converted(match, stiffness, match.impact.peak_force, match.impact.load_force)
+
+    def _converted(self, match: MatchedImpact, stiffness: float, peak: float, load: float = 0.0) -> RegionForce:
+        """Return the force on the most endangered body region of a measured `peak` [N] in the conditions of `match`."""
+        peak, load = peak / match.force_share, load / match.force_share
         masses = (match.state.masses[self._model], match.measured_mass)
-        load = match.impact.load_force / match.force_share
         return region_force(self._limits, peak, masses, match.obstacle_mass, stiffness, load)
 
     def _held_force(self, match: MatchedImpact) -> RegionForce:
@@ -339,19 +368,35 @@ class Validator:
         held, load = match.impact.held_force, match.impact.load_force
         return static_force(self._held_limits, (held and held + load) / match.force_share)
 
-    def _held_forces(self) -> tuple[HeldForces, int]:
-        """Return all contacts whose force stayed, and how many of the refused ones exceed a limit."""
+    def _held_forces(self) -> ComparedForces:
+        """Return the contacts whose force stayed."""
         matched = [self._held_force(match) for match in self._matches if match.impact.held_force]
-        refused = []
+        refused = [max(self._as_measured(item), key=_share) for item in self._matcher.refused if item.held_force]
+        return _compared(matched + refused)
+
+    def _as_measured(self, impact: RefusedImpact) -> list[RegionForce]:
+        """Return what stayed of a refused impact, and the first 0.5 s if it is a press."""
+        first = impact.peak_force + impact.load_force if impact.reason == PRESS else 0.0
+        return [static_force(self._held_limits, impact.held_force), static_force(self._limits, first)]
+
+    def _left_out_forces(self, stiffness: float) -> ComparedForces:
+        """Return the contacts that are not in the series, and the force in no impact."""
+        per_newton = max((self._converted(match, stiffness, 1.0) for match in self._matches), key=_share, default=None)
+
+        def converted(peak: float, load: float = 0.0) -> RegionForce:
+            if per_newton is None or not per_newton.limit:
+                return static_force(self._limits, peak + load)
+            return per_newton._replace(force=per_newton.force * peak + load)
+
+        forces = []
         for impact in self._matcher.refused:
-            if impact.held_force:
-                forces = [static_force(self._held_limits, impact.held_force)]
-                forces += [static_force(self._limits, impact.peak_force)] if impact.reason == PRESS else []
-                refused.append(max(forces, key=_share))
-        apart = sum(force.exceeds for force in refused)
-        forces = matched + refused
-        count = sum(force.exceeds for force in matched) + apart
-        return HeldForces(len(forces), count, max(forces, key=_share, default=NO_REGION)), apart
+            forces.append(max(self._as_measured(impact), key=_share))
+            if impact.reason not in {PRESS, REBOUND, DUPLICATE}:
+                forces[-1] = max(forces[-1], converted(impact.peak_force, impact.load_force), key=_share)
+        for item in self.left_out:
+            is_load = item.reason in LOADS
+            forces.append(static_force(self._held_limits, item.peak_force) if is_load else converted(item.peak_force))
+        return _compared([force for force in forces if force.force > 0.0])
 
     @property
     def _gain_tolerance(self) -> float:
@@ -441,3 +486,9 @@ class Validator:
 def _share(force: RegionForce) -> float:
     """Return the force as a share of its limit."""
     return force.force / force.limit if force.limit else 0.0
+
+
+def _compared(forces: Sequence[RegionForce]) -> ComparedForces:
+    return ComparedForces(
+        len(forces), sum(force.exceeds for force in forces), max(forces, key=_share, default=NO_REGION)
+    )

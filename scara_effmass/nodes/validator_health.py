@@ -44,6 +44,11 @@ def series_status(
     if result.held.exceedances:
         worst = result.held.worst
         problems.append(f"held force above a limit: {worst.force:.1f} N of {worst.limit:.1f} N on {worst.region}")
+    if result.left_out.exceedances:
+        worst = result.left_out.worst
+        problems.append(f"left out of the series: {worst.force:.1f} N of {worst.limit:.1f} N on {worst.region}")
+    if result.unmeasured:
+        problems.append(f"{result.unmeasured} contacts clipped, incomplete or stuck: their force is not known")
     problems += [result.clock, result.force_sign, unheard]
     if unpaired := sum(result.unpaired.values()):
         problems.append(f"{unpaired} impacts could not be paired: {', '.join(result.unpaired)}")
@@ -74,6 +79,7 @@ def series_status(
         "gain of the force": f"{fit.gain:.4g} ({fit.gain_interval.low:.4g} to {fit.gain_interval.high:.4g})",
         "clock offset [s]": f"{result.clock_offset.offset:.4g}",
         "impacts above the limit": result.exceedances,
+        "contacts of unknown force": result.unmeasured,
         "contacts that held": result.held.contacts,
         "contacts that held above the limit": result.held.exceedances,
         "bias [N]": f"{selected.bias:.4g}",

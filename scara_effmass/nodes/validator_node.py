@@ -14,6 +14,7 @@ from scara_effmass_msgs.msg import ContactStates, ForceBlock, Impact, ImpactVali
 from scara_effmass import values
 from scara_effmass.errors import DecodeError, SettingsError
 from scara_effmass.impacts.detector import Detector
+from scara_effmass.impacts.load import LeftOuts
 from scara_effmass.impacts.validator import Validator
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.diagnostics import Diagnostics, no_publisher, several_publishers
@@ -110,6 +111,7 @@ class ValidatorNode(LifecycleBase[NodeSettings]):
         if self.settings.find_impacts:
             for impact in self._detector.feed(block):
                 self._on_impact(impact)
+            self._validator.left_out = tuple(self._detector.left_out)
 
     def _on_run_info(self, data: bytes) -> None:
         try:
@@ -154,6 +156,7 @@ class ValidatorNode(LifecycleBase[NodeSettings]):
     def _reset(self) -> str:
         count = len(self._validator.result().impacts)
         self._validator.reset()
+        self._detector.left_out = LeftOuts()
         self._undecodable.clear()
         return f"new series started; the previous one had {count} impacts"
 

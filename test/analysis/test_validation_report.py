@@ -12,8 +12,10 @@ from matplotlib.image import imread
 
 from scara_effmass.analysis.output import check_output_files
 from scara_effmass.analysis.validation import Validation, ValidationSettings, validate
-from scara_effmass.analysis.validation_report import FILES, record, write_report
+from scara_effmass.analysis.validation_report import FILES, record, summary_lines, write_report
 from scara_effmass.errors import OutputError
+from scara_effmass.impacts.agreement import RegionForce
+from scara_effmass.impacts.validator import ComparedForces
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import ValidatorSettings
 
@@ -223,3 +225,25 @@ def test_the_folder_must_not_be_a_file(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(OutputError, match="file"):
         check_output_files(tmp_path / "file", FILES, overwrite=True)
+
+
+@pytest.mark.parametrize(
+    ("changes", "word", "statement"),
+    [
+        ({"unmeasured": 1}, "Force not known", "1 clipped, incomplete or stuck: force not known"),
+        (
+            {"left_out": ComparedForces(1, 1, RegionForce("lower_leg", 895.0, 260.0, "")), "exceedances": 1},
+            "Force above a limit",
+            "1 of 7 contacts above the limit; largest 895 N of 260 N (lower_leg), left out of the series",
+        ),
+    ],
+)
+def test_no_series_is_accepted_whose_other_contacts_are_above_a_limit_or_not_known(
+    validation: Validation, dynamics: RobotDynamics, tmp_path: Path, changes: dict[str, Any], word: str, statement: str
+) -> None:
+    changed = validation._replace(result=validation.result._replace(**changes))
+    assert (changed.result.accepted, changed.result.within_limits) == (True, False)
+    assert statement in dict(summary_lines(changed))["limit"]
+    texts = texts_of(written(changed, dynamics, tmp_path / "report"))
+    assert word in texts
+    assert "Accepted." not in texts

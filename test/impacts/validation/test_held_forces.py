@@ -10,10 +10,12 @@ import pytest
 
 from scara_effmass.impacts.agreement import comparison_text
 from scara_effmass.impacts.impact_matcher import PRESS
+from scara_effmass.impacts.load import LATER_LOAD
+from scara_effmass.impacts.segment import NOISE, STUCK
 from scara_effmass.impacts.validator import Result, Validator
 from scara_effmass.iso15066 import limits_for
 from scara_effmass.settings import ContactType, MonitorSettings, ValidatorSettings
-from scara_effmass.values import Impact, ValidatedImpact
+from scara_effmass.values import NAN, Impact, LeftOut, ValidatedImpact
 
 if TYPE_CHECKING:
     from test.impacts.validation.conftest import Cell, MakeCell
@@ -33,10 +35,16 @@ def campaign(make_cell: MakeCell) -> Cell:
 
 
 def validated(
-    cell: Cell, change: Callable[[int, Impact], Impact], *, late_ns: int = 0, with_states: bool = True
+    cell: Cell,
+    change: Callable[[int, Impact], Impact],
+    *,
+    late_ns: int = 0,
+    with_states: bool = True,
+    left_out: tuple[LeftOut, ...] = (),
 ) -> tuple[list[ValidatedImpact], Result]:
     """Validate the impacts of `cell` after the `change`; the first one arrives `late_ns` later."""
     validator = Validator(SETTINGS)
+    validator.left_out = left_out
     for since_ns, obstacle_mass, configuration in cell.runs:
         validator.runs.set(since_ns, obstacle_mass=obstacle_mass, configuration=configuration)
     items: list[tuple[int, Any, Any]] = [
@@ -114,3 +122,49 @@ def test_what_stays_is_compared_without_the_state_of_the_robot(campaign: Cell) -
     assert (impacts, sum(result.unpaired.values())) == ([], 12)
     assert (result.held.contacts, result.held.exceedances) == (1, 1)
     assert result.exceedances == 1
+
+
+@pytest.mark.parametrize(
+    ("changes", "others", "above", "unmeasured"),
+    [
+        ({"clipped": True, "peak_force": 5000.0}, 1, 1, 1),
+        ({"clipped": True, "peak_force": 10.0}, 1, 0, 1),
+        ({"incomplete": True, "peak_force": 5000.0}, 1, 1, 1),
+        ({"incomplete": True, "peak_force": 5000.0, "held_force": 2.0 * QUASI_STATIC}, 1, 1, 1),
+        ({"rebound": 1, "peak_force": 5000.0}, 1, 1, 0),  # larger than its impact
+        ({"rebound": 1, "peak_force": 10.0}, 0, 0, 0),
+        ({"peak_force": 5000.0, "stamp_ns": 1}, 1, 1, 0),  # no state of the robot
+        ({"peak_force": NAN}, 0, 0, 0),
+    ],
+)
+def test_contacts_left_out_of_the_series_are_compared(
+    campaign: Cell, changes: dict[str, Any], others: int, above: int, unmeasured: int
+) -> None:
+    impacts, result = validated(campaign, lambda number, impact: impact._replace(**changes) if number == 1 else impact)
+    assert len(impacts) == 11
+    assert (result.left_out.contacts, result.left_out.exceedances, result.unmeasured) == (others, above, unmeasured)
+    assert result.exceedances == sum(impact.exceeds_limit for impact in result.impacts) + above
+    assert result.impacts[-1].series.exceedances == result.exceedances
+
+
+def test_peaks_left_out_are_converted_with_the_worst_impact_of_the_series(campaign: Cell) -> None:
+    _, result = validated(campaign, first(clipped=True, load_force=7.0))
+    worst = max(impact.region_force / impact.measured_force for impact in result.impacts)
+    assert result.left_out.worst.force == pytest.approx(worst * campaign.impacts[0][0].peak_force + 7.0)
+    _, unpaired = validated(campaign, same, with_states=False)  # nothing to convert with
+    assert unpaired.left_out.worst.force == max(impact.peak_force for impact, _ in campaign.impacts)
+
+
+@pytest.mark.parametrize(
+    ("reason", "peak", "above", "unmeasured"),
+    [
+        (NOISE, 5000.0, 1, 0),
+        (NOISE, 10.0, 0, 0),
+        (STUCK, 10.0, 0, 1),
+        (LATER_LOAD, 1.1 * QUASI_STATIC, 1, 0),  # acts on a body as on the sensor
+    ],
+)
+def test_force_in_no_impact_is_compared(campaign: Cell, reason: str, peak: float, above: int, unmeasured: int) -> None:
+    _, result = validated(campaign, same, left_out=(LeftOut(reason, 1, peak, 0),))
+    assert (result.left_out.contacts, result.left_out.exceedances, result.unmeasured) == (1, above, unmeasured)
+    assert result.within_limits == (not result.exceedances and not unmeasured)

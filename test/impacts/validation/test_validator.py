@@ -258,7 +258,7 @@ def test_spoilt_impacts_are_counted_each_under_its_reason(campaign: Cell) -> Non
     assert result.excluded == {
         "clipped: the force reached the end of the measuring range": 1,
         "incomplete: samples were lost during it": 1,
-        "rebound of an earlier impact": 1,
+        "rebound of an earlier impact, but larger": 1,
         "no positive peak force": 2,
     }
     assert (len(validated), result.unpaired, result.accepted) == (7, {}, True)
