@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from scara_effmass.analysis.forces import file_measurements, lost_before
+from scara_effmass.analysis.forces import file_measurements, lost_samples
 from scara_effmass.bags.batches import LossLog
 from scara_effmass.errors import BagError
 from scara_effmass.impacts.detector import Detector
@@ -24,10 +24,12 @@ NO_BLOCKS = "only impacts were recorded: what their detection left out is not kn
 class RecordedContacts:
     """Contacts in one recording, by the detection of `daq_node`. `start_ns` is the stamp of its first sample or impact.
 
-    `left_out` counts the force above the threshold that is in no contact. `losses` are parts that could not be read.
+    `topic` is that of the force, empty if it is the only one. `left_out` counts the force above the threshold that is
+    in no contact. `losses` are parts that could not be read.
     """
 
     path: Path
+    topic: str
     source: str
     simulated: bool
     start_ns: int
@@ -42,7 +44,8 @@ class RecordedContacts:
     def force_text(self) -> str:
         """The force in one line."""
         origin = "simulated, not measured" if self.simulated else "as recorded"
-        return f"{self.samples} samples, {self.lost_samples} lost; {origin}: {self.source}"
+        topic = f"{self.topic}: " if self.topic else ""
+        return f"{topic}{self.samples} samples, {self.lost_samples} lost; {origin}: {self.source}"
 
     def as_dict(self) -> dict[str, Any]:
         """Return everything as JSON types, in SI units, with times since the beginning of the recording."""
@@ -74,6 +77,7 @@ class RecordedContacts:
         ]
         return {
             "recording": str(self.path),
+            "topic": self.topic,
             "source": self.source,
             "simulated": self.simulated,
             "start_ns": self.start_ns,
@@ -131,7 +135,7 @@ def recorded_contacts(path: Path, settings: ImportSettings, detection: Detection
         if isinstance(value, Impact):
             contacts.append(value)
             continue
-        lost += lost_before(value, before)
+        lost += lost_samples(value, before)
         before = value
         samples += int(np.isfinite(value.force).sum())
         contacts += detector.feed(value)
@@ -140,6 +144,7 @@ def recorded_contacts(path: Path, settings: ImportSettings, detection: Detection
         raise BagError("; ".join([f"{path}: must hold a force that can be read", *losses]))
     recorded = RecordedContacts(
         path=path,
+        topic=settings.topic,
         source=", ".join(sorted(sources)),
         simulated=simulated,
         start_ns=start_ns,

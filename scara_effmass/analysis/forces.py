@@ -14,6 +14,7 @@ from scara_effmass.analysis.time_series import decimate
 from scara_effmass.bags.bag import Bag
 from scara_effmass.bags.batches import LossLog, Topic
 from scara_effmass.bags.files import open_bag
+from scara_effmass.errors import BagError
 from scara_effmass.impacts.detector import Detector
 from scara_effmass.importers.force import IMPORTERS, import_force, import_wrenches
 from scara_effmass.importers.force_file import TABLE_SETTINGS, refuse_settings
@@ -93,6 +94,11 @@ def lost_before(block: ForceBlock, before: ForceBlock | None) -> int:
     )
 
 
+def lost_samples(block: ForceBlock, before: ForceBlock | None) -> int:
+    """Return `lost_before`, and the samples of `block` that are not finite."""
+    return lost_before(block, before) + int(np.count_nonzero(~np.isfinite(block.force)))
+
+
 def detected_impacts(values: Iterable[ForceBlock | Impact], detector: Detector | None = None) -> tuple[Impact, ...]:
     """Return the impacts among `values`, and those that a new `detector` finds in the blocks, by default as usual."""
     detector = detector or Detector(DetectionSettings())
@@ -103,6 +109,27 @@ def detected_impacts(values: Iterable[ForceBlock | Impact], detector: Detector |
 def measurement_topic(bag: Bag, name: str) -> Topic:
     """Return the topic of force or impacts `name`, else as `Bag.find_topic`, which raises BagError."""
     return bag.find_topic(name, MEASUREMENTS, "--force-topic")
+
+
+def force_topics(bag: Bag) -> list[Topic]:
+    """Return the topics among which `measurement_topic` chooses: all of the preferred type that have messages."""
+    types = {topic.type for topic in bag.topics if topic.count}
+    preferred = next((kind for kind in MEASUREMENTS if kind in types), "")
+    return [topic for topic in bag.topics if topic.count and topic.type == preferred]
+
+
+def check_other_forces(bag: Bag, chosen: Topic, settings: ImportSettings, detection: DetectionSettings) -> None:
+    """Raise BagError if the `settings` state no topic, and another one than the `chosen` one has contacts."""
+    for topic in [] if settings.topic else force_topics(bag):
+        if topic.name == chosen.name:
+            continue
+        detector = Detector(detection)
+        contacts = detected_impacts((item.value for item in measurements(bag, topic, settings)), detector)
+        peaks = [max(contact.peak_force, contact.held_force) for contact in contacts]
+        peaks += [item.peak_force for item in detector.left_out]
+        if peaks:
+            rule = f"must be {chosen.name} or {topic.name}, which has contacts, too (up to {max(peaks):.1f} N)"
+            raise BagError(f"{bag.path}: --force-topic is empty: {rule}")
 
 
 def file_measurements(path: Path, settings: ImportSettings, losses: LossLog) -> Iterator[Measurement]:

@@ -21,10 +21,11 @@ from scara_effmass.analysis.assessment import AssessedState, Time, assessed_rows
 from scara_effmass.analysis.forces import (
     ForceTrace,
     Measurement,
+    check_other_forces,
     detected_impacts,
     file_measurements,
     file_traces,
-    lost_before,
+    lost_samples,
     measurement_topic,
     measurements,
 )
@@ -38,6 +39,7 @@ from scara_effmass.impacts.detector import Detector
 from scara_effmass.impacts.impact_matcher import check_run_info
 from scara_effmass.impacts.state_history import recording_offset
 from scara_effmass.impacts.validator import Result, Validator
+from scara_effmass.importers.force import IMPORTERS
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import DetectionSettings, ImportSettings, MonitorSettings, ValidatorSettings
 from scara_effmass.values import ForceBlock, Impact, LeftOut, RefusedImpact, RunInfo, ValidatedImpact, Verdict
@@ -173,9 +175,14 @@ def validate_recording(
         recording = ValidatedRecording(bag.path, states, str(force_path), infos, any(info.simulated for info in infos))
         if force_path is None:
             force = measurement_topic(bag, settings.force.topic)
+            check_other_forces(bag, force, settings.force, settings.detection)
             recording.force_topic = force.name
             measured = measurements(bag, force, settings.force)
         else:
+            if force_path.suffix.lower() not in IMPORTERS:
+                with open_bag(force_path) as other:
+                    topic = measurement_topic(other, settings.force.topic)
+                    check_other_forces(other, topic, settings.force, settings.detection)
             foreign = list(file_measurements(force_path, settings.force, losses))
             measured = _on_joint_clock(foreign, bag, recording, Monitor(dynamics, settings.monitor), settings)
         defaults, mass = settings.validator, settings.obstacle_mass
@@ -199,7 +206,7 @@ def validate_recording(
             force_ns = item.log_time_ns
             recording.count(value)
             if isinstance(value, ForceBlock):
-                recording.lost_samples += lost_before(value, before)
+                recording.lost_samples += lost_samples(value, before)
                 before = value
                 validator.add_force(value, force_ns)
             for impact in detector.feed(value) if isinstance(value, ForceBlock) else (value,):

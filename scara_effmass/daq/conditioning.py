@@ -48,6 +48,9 @@ class SignalConditioner:
         self._uncertainty = 0.0 if source.simulated else settings.sensor.sensitivity_uncertainty
         self._end: int | None = None
         self._run = 0
+        lowpass = settings.filter
+        applied = "" if lowpass.kind == "none" else f", {lowpass.kind} low-pass {lowpass.cutoff:g} Hz"
+        self._description = source.description + applied
         self.clock = ClockFit(source.sample_rate)
         """Unused for recordings."""
         self.channels = tuple(
@@ -96,7 +99,7 @@ class SignalConditioner:
             lost_samples=lost,
             clock_residual=residual,
             filter_delay=self._source.filter_delay,
-            source=self._source.description,
+            source=self._description,
             simulated=self._source.simulated,
             relative_uncertainty=self._uncertainty if stated is None else stated,
         )

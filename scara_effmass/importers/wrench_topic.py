@@ -10,8 +10,14 @@ import numpy as np
 from scara_effmass.bags.bag import Bag, RawMessage, first_run_info
 from scara_effmass.bags.batches import IntArray, Topic
 from scara_effmass.errors import BagError, DecodeError
-from scara_effmass.importers.force_file import TABLE_SETTINGS, ForceFile, refuse_settings, uniform_samples
-from scara_effmass.settings import ImportSettings
+from scara_effmass.importers.force_file import (
+    NEWTON_PER_UNIT,
+    TABLE_SETTINGS,
+    ForceFile,
+    refuse_settings,
+    uniform_samples,
+)
+from scara_effmass.settings import DetectionSettings, ImportSettings
 from scara_effmass.values import BoolArray, FloatArray, true_runs
 from scara_effmass.wire.cdr import NS
 from scara_effmass.wire.message_types import FLOAT64, FORCE_BLOCK, WRENCH, WRENCH_STAMPED
@@ -26,6 +32,8 @@ MIN_FROZEN_RUN, FROZEN_FACTOR = 5, 4.0
 """Messages have a frozen stamp if more than this number share it, and more than this multiple of the usual number."""
 UNLOADED_NS = NS
 """Time from the first message on, whose median force is that without load."""
+OTHER_AXES_SHARE, OTHER_AXES_FORCE = 1.1, DetectionSettings().threshold
+"""A norm above this multiple of the peak along the axis, and above this force [N], shows a contact on other axes."""
 CLOCK_STEP_RUN = 100
 """Number of consecutive invalid stamps that shows a clock step."""
 MIN_STEP_RUN = 5
@@ -46,8 +54,7 @@ class _Messages(NamedTuple):
     def without(self, invalid: BoolArray, problem: str, bag: Bag) -> "_Messages":
         """Return the messages that are not `invalid` (n,); the `bag` notes number and largest force of the others."""
         if invalid.any():
-            force = np.abs(self.force[invalid])
-            peak = float(force[np.isfinite(force)].max(initial=0.0))
+            peak = _peak(self.force[invalid])
             first_s = self.log_times_ns[invalid][0] / NS
             count = np.count_nonzero(invalid)
             bag.add_loss(f"{problem}: messages left out: {count}, from {first_s:.6f} s on, values up to {peak:.1f}")
@@ -70,7 +77,7 @@ def read_wrench_topic(bag: Bag, settings: ImportSettings) -> ForceFile:
         refuse_settings(settings, ("axis",), origin, "a number has no axes")
     if settings.axis == "norm":
         refuse_settings(settings, ("sensor.invert",), origin, "a norm has no sign")
-    messages, zero = _read(bag, topic, settings.axis)
+    messages, zero = _read(bag, topic, settings)
     component = "" if topic.type == FLOAT64 else f" force.{settings.axis}{zero}"
     stamps_ns, force = messages.log_times_ns, messages.force
     if messages.stamps_ns[:HEAD].any():
@@ -94,11 +101,11 @@ def read_wrench_topic(bag: Bag, settings: ImportSettings) -> ForceFile:
     )
 
 
-def _read(bag: Bag, topic: Topic, axis: str) -> tuple[_Messages, str]:
+def _read(bag: Bag, topic: Topic, settings: ImportSettings) -> tuple[_Messages, str]:
     """Return the messages that can be decoded, and as text the force that was subtracted before the norm was taken."""
     log_times_ns, stamps_ns, values = array("q"), array("q"), array("d")
     frames: set[str] = set()
-    for log_time_ns, (stamp_ns, frame_id, sample) in bag.decoded(topic.name, topic.type, partial(_sample, bag, axis)):
+    for log_time_ns, (stamp_ns, frame_id, sample) in bag.decoded(topic.name, topic.type, partial(_sample, bag)):
         log_times_ns.append(log_time_ns)
         stamps_ns.append(stamp_ns)
         values.extend(sample)
@@ -110,24 +117,39 @@ def _read(bag: Bag, topic: Topic, axis: str) -> tuple[_Messages, str]:
         raise BagError(f"{bag.path}: {topic.name}: frame_id = {', '.join(sorted(frames))}: {rule}")
     times_ns, force = np.frombuffer(log_times_ns, np.int64), np.frombuffer(values)
     zero = ""
-    if axis == "norm" and topic.type != FLOAT64:
+    if topic.type != FLOAT64:
         vectors = force.reshape(-1, 3)
         unloaded = vectors[(times_ns <= times_ns[:1] + UNLOADED_NS) & np.isfinite(vectors).all(axis=1)]
         offset = np.median(unloaded, axis=0) if len(unloaded) else np.zeros(3)
-        zero = " less ({:.1f}, {:.1f}, {:.1f})".format(*np.round(offset, 1) + 0.0)
         with np.errstate(over="ignore", invalid="ignore"):  # damaged bags hold huge numbers
-            force = np.linalg.norm(vectors - offset, axis=1)
+            norm = np.linalg.norm(vectors - offset, axis=1)
+        if settings.axis == "norm":
+            zero = " less ({:.1f}, {:.1f}, {:.1f})".format(*np.round(offset, 1) + 0.0)
+            force = norm
+        else:
+            number = "xyz".index(settings.axis)
+            force = vectors[:, number]
+            along, largest = (_peak(values) for values in (force - offset[number], norm))
+            unit = settings.unit or "N"
+            if largest > OTHER_AXES_SHARE * along and largest * NEWTON_PER_UNIT.get(unit, 1.0) > OTHER_AXES_FORCE:
+                problem = f"up to {along:.1f} {unit}, with the other axes up to {largest:.1f} {unit}: --axis norm"
+                bag.add_loss(f"{topic.name} force.{settings.axis}: {problem}")
     return _Messages(times_ns, np.frombuffer(stamps_ns, np.int64), force), zero
 
 
-def _sample(bag: Bag, axis: str, message: RawMessage) -> tuple[int, str, list[float]]:
-    """Return stamp [ns], frame and force of a message; all components for a norm. Raises DecodeError."""
+def _peak(force: FloatArray) -> float:
+    """Return the largest size of the finite samples of `force` (n,)."""
+    return float(np.abs(force[np.isfinite(force)]).max(initial=0.0))
+
+
+def _sample(bag: Bag, message: RawMessage) -> tuple[int, str, list[float]]:
+    """Return stamp [ns], frame and force of a message; three components of a wrench. Raises DecodeError."""
     decoded = bag.deserialize(message)
     try:
         if message.type == FLOAT64:
             return 0, "", [float(decoded.data)]
         force = decoded.force if message.type == WRENCH else decoded.wrench.force
-        sample = [float(getattr(force, name)) for name in ("xyz" if axis == "norm" else axis)]
+        sample = [float(getattr(force, name)) for name in "xyz"]
         if message.type == WRENCH:
             return 0, "", sample
         stamp = decoded.header.stamp

@@ -28,7 +28,7 @@ from scara_effmass.sim.experiment import run_impact
 from scara_effmass.sim.recordings import write_recording
 from scara_effmass.studies.campaign import Campaign
 from scara_effmass.values import ForceBlock, JointState, RunInfo
-from scara_effmass.wire.force import impact_message
+from scara_effmass.wire.force import force_block_message, impact_message
 from scara_effmass.wire.joint_state import joint_state_message
 from scara_effmass.wire.message_types import FORCE_BLOCK, IMPACT, JOINT_STATE, RUN_INFO, WRENCH, WRENCH_STAMPED
 from scara_effmass.wire.run_info import decode_run_info, run_info_message
@@ -546,6 +546,29 @@ def test_several_force_topics_require_a_choice(campaign: list[Path], dynamics: R
     assert (found.recordings[0].force_topic, len(found.result.impacts)) == ("/right", 1)
     with pytest.raises(BagError, match="--force-topic = up: must be one of /left"):
         validate([path], dynamics, replace(SETTINGS, force=ImportSettings(topic="up")))
+
+
+@pytest.mark.parametrize(("gain", "is_refused"), [(1.0, True), (0.0, False)])
+def test_contacts_on_another_force_topic_require_a_choice(
+    campaign: list[Path], dynamics: RobotDynamics, tmp_path: Path, gain: float, *, is_refused: bool
+) -> None:
+    """The channels of a converter are /force and /force/ai1."""
+    path = tmp_path / "two_channels"
+    with open_bag(campaign[0]) as bag, BagWriter(path) as writer:
+        blocks = bag.force_blocks("/force")
+        for message in bag.messages():
+            writer.write(*message)
+            if message.type == FORCE_BLOCK:
+                block = next(blocks)
+                second = force_block_message(block._replace(force=gain * block.force))
+                writer.write("/force/ai1", FORCE_BLOCK, message.log_time_ns, second)
+    if is_refused:
+        beside = replace(SETTINGS, force_from=(path,), force_offset=0.0)
+        for paths, settings in ((path, SETTINGS), (campaign[0], beside)):
+            with pytest.raises(BagError, match=r"must be /force or /force/ai1, which has contacts, too \(up to \d+"):
+                validate([paths], dynamics, settings)
+    stated = SETTINGS if not is_refused else replace(SETTINGS, force=ImportSettings(topic="/force"))
+    assert len(validate([path], dynamics, stated).result.impacts) == 1
 
 
 def test_undecodable_force_blocks_are_reported_as_losses(

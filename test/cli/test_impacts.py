@@ -3,14 +3,17 @@
 
 import json
 import re
+from itertools import count
 from pathlib import Path
 
 import numpy as np
 import pytest
 from nptdms import ChannelObject, TdmsWriter
 
+from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
-from scara_effmass.wire.message_types import WRENCH_STAMPED
+from scara_effmass.wire.force import force_block_message
+from scara_effmass.wire.message_types import FORCE_BLOCK, WRENCH_STAMPED
 from test.bags.messages import header, message, serialized
 from test.cli.conftest import Cli, Refused
 
@@ -101,6 +104,30 @@ def test_recordings_of_the_nodes_are_read(cli: Cli) -> None:
     assert recording["simulated"]
     assert [contact["rebound"] for contact in recording["contacts"]] == list(range(len(recording["contacts"])))
     assert recording["contacts"][0]["peak_force_n"] == pytest.approx(406.0, abs=1.0)
+
+
+def test_samples_that_are_not_finite_are_lost(cli: Cli, tmp_path: Path) -> None:
+    with open_bag(BAGS / "campaign" / "300_-200_2390g_1") as bag, BagWriter(tmp_path / "gap") as writer:
+        for (log_time_ns, block), number in zip(bag.timed_force_blocks("/force"), count()):
+            force = np.where(np.arange(block.force.size) < 5 * (number % 2), np.nan, block.force)
+            writer.write("/force", FORCE_BLOCK, log_time_ns, force_block_message(block._replace(force=force)))
+    (recording,) = json.loads(cli("impacts", tmp_path / "gap", "--json").stdout)["recordings"]
+    assert (recording["lost_samples"], recording["complete"]) == (5 * ((number + 1) // 2), False)
+
+
+def test_every_force_topic_is_listed(cli: Cli, tmp_path: Path) -> None:
+    with open_bag(BAGS / "campaign" / "300_-200_2390g_1") as bag, BagWriter(tmp_path / "two") as writer:
+        for message in bag.messages(["/force"]):
+            for topic in ("/force", "/force/ai1"):
+                writer.write(topic, *message[1:])
+    recordings = json.loads(cli("impacts", tmp_path / "two", "--json").stdout)["recordings"]
+    assert [recording["topic"] for recording in recordings] == ["/force", "/force/ai1"]
+    assert recordings[0]["contacts"] == recordings[1]["contacts"]
+    assert "force           /force/ai1: " in cli("impacts", tmp_path / "two").stdout
+    (chosen,) = json.loads(cli("impacts", tmp_path / "two", "--json", "--force-topic", "force/ai1").stdout)[
+        "recordings"
+    ]
+    assert chosen["contacts"] == recordings[1]["contacts"]
 
 
 def test_force_blocks_need_no_import_settings(refused: Refused) -> None:

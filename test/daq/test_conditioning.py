@@ -79,6 +79,14 @@ def test_inverted_sensor_changes_the_sign() -> None:
     assert only_block(signal({"sensor.invert": True}).blocks(reading([1.0, -2.0]))).force.tolist() == [-1.0, 2.0]
 
 
+@pytest.mark.parametrize(
+    ("kind", "source"), [("none", "a load cell"), ("causal", "a load cell, causal low-pass 30 Hz")]
+)
+def test_the_source_states_the_low_pass(kind: str, source: str) -> None:
+    conditioner = signal({"filter.kind": kind, "filter.cutoff": 30.0})
+    assert only_block(conditioner.blocks(reading([1.0, 2.0]))).source == source
+
+
 def test_block_states_its_source_and_is_read_only() -> None:
     source = StartedSource(channels=("ai0", "ai1"), simulated=True)
     blocks = signal({"frame_id": "cell"}, source).blocks(reading([[1.0, 2.0], [3.0, 4.0]], first=7, lost=2))

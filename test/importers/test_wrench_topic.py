@@ -30,10 +30,10 @@ TRUNCATED = b"\x00\x01\x00\x00"
 Messages = list[tuple[str, str, int, bytes]]
 
 
-def wrench(force_z: float) -> object:
+def wrench(force_z: float, force_x: float = 1.0) -> object:
     force, torque = (
         message("geometry_msgs/msg/Vector3", dict(zip("xyz", values, strict=True)))
-        for values in ((1.0, 2.0, force_z), (0.0, 0.0, 0.0))
+        for values in ((force_x, 2.0, force_z), (0.0, 0.0, 0.0))
     )
     return message(WRENCH, {"force": force, "torque": torque})
 
@@ -81,6 +81,30 @@ def test_wrench_gives_the_selected_axis_at_the_rate_of_its_stamps(tmp_path: Path
     # without the median force of the first second, to which the sensor's bias belongs
     assert force_of(imported(path, axis="norm")) == pytest.approx([abs(n - 250.0) for n in range(1000)])
     assert imported(path, axis="norm")[0].source == "run, /wrench force.norm less (1.0, 2.0, 250.0)"
+
+
+@pytest.mark.parametrize(
+    ("force_x", "axis", "loss"),
+    [
+        (312.0, "z", "/wrench force.z: up to 50.0 N, with the other axes up to 316.0 N: --axis norm"),
+        (312.0, "x", ""),
+        (312.0, "norm", ""),
+        (15.0, "z", ""),  # less than 10 % more
+    ],
+)
+def test_a_contact_on_other_axes_is_said(tmp_path: Path, force_x: float, axis: str, loss: str) -> None:
+    stamps_ns = T0 + np.arange(3000) * MS
+    content = [
+        {"header": header(stamp, "ft"), "wrench": wrench(*((50.0, force_x) if 2000 <= n < 2020 else (0.0, 0.0)))}
+        for n, stamp in enumerate(stamps_ns.tolist())
+    ]
+    messages = [
+        ("/wrench", WRENCH_STAMPED, stamp, serialized(WRENCH_STAMPED, item))
+        for stamp, item in zip(stamps_ns.tolist(), content, strict=True)
+    ]
+    file, blocks = import_force(write(tmp_path / "run", messages), ImportSettings(axis=axis))
+    list(blocks)
+    assert [line.partition("run: ")[2] for line in file.losses()] == ([loss] if loss else [])
 
 
 @pytest.mark.parametrize(
