@@ -218,7 +218,10 @@ class DetectedContact(NamedTuple):
     compression_area: float
     """[N samples] above baseline, from the onset to the peak"""
     complete: bool
-    """Whether the rise and all samples of the transient were recorded, and of a contact that ends in it, the fall."""
+    """Whether the rise and all samples of the transient were recorded, and of a contact that ends in it, the fall.
+
+    False beside a single sample far above its neighbours, which may be its top and is then its `peak`.
+    """
     clipped: bool = False
     held: float = 0.0
     """[N] largest force after the transient, 0 if the contact ended in it"""
@@ -290,6 +293,7 @@ def classify(
     threshold = _threshold(force, valid, baseline, gap)
     glitches = lone_samples(force, threshold)
     glitches = glitches[valid[glitches - 1] & valid[glitches] & valid[glitches + 1]]
+    single = force[glitches]
     force[glitches] = 0.5 * (force[glitches - 1] + force[glitches + 1])
 
     signal = _Signal(force, valid, saturated, baseline, threshold, gap, margin, longest, transient)
@@ -301,7 +305,13 @@ def classify(
         tensile_pulses, _ = _contacts(pulls)
     spans = [(first, last + 1, NO_CONTACT) for first, last in others]
     spans += [(start, stop, STUCK) for start, stop in dropouts.tolist()]
-    spans += [(index, index + 1, SINGLE_SAMPLE) for index in glitches.tolist()]
+    for index, height in zip(glitches.tolist(), single.tolist(), strict=True):
+        beside = [n for n, contact in enumerate(contacts) if contact.first - 1 <= index <= contact.last + 1]
+        if beside and height > force[index]:  # it may be the top of the contact
+            contact = contacts[beside[0]]
+            contacts[beside[0]] = contact._replace(peak=max(contact.peak, height), complete=False)
+        else:
+            spans.append((index, index + 1, SINGLE_SAMPLE))
     remainders = _remainders(samples - baseline.force, baseline.threshold, contacts, spans)
     return Segment(contacts, tensile_pulses, dropouts[:, 0], glitches, remainders)
 

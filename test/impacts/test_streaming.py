@@ -304,8 +304,20 @@ def test_glitches_are_counted(detect: Detect, add_pulse: AddPulse) -> None:
     force[20_050] += 500.0
     (impact,), detector = detect(force)
     assert detector.glitches == 3
-    assert impact.peak_force == pytest.approx(60.0, rel=0.01)
     assert not detect(force[:10_001]).impacts
+    assert (impact.incomplete, impact.peak_force) == (True, pytest.approx(535.0, rel=0.01))
+    assert [(item.peak_force, item.occurrences) for item in detector.left_out] == [(pytest.approx(300.0, abs=1.0), 1)]
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_single_sample_in_or_beside_a_contact_may_be_its_top(detect: Detect, add_pulse: AddPulse, seed: int) -> None:
+    """Two samples of 200 Hz or fewer in an impact of 6 to 12 ms: no contact has less than the largest sample."""
+    generator = np.random.default_rng(seed)
+    force = generator.normal(0.0, 0.2, 800)
+    add_pulse(force, 400.0 + generator.uniform(0.0, 1.0), generator.uniform(0.006, 0.012), 300.0, rate=200.0)
+    impacts, _ = detect(force, 200.0)
+    assert all(impact.incomplete or impact.peak_force > 0.8 * force.max() for impact in impacts)
+    assert all(impact.peak_force > 0.8 * force.max() for impact in impacts)
 
 
 def test_a_glitch_at_the_first_sample_after_an_impact_counts(detect: Detect, add_pulse: AddPulse) -> None:
