@@ -445,7 +445,11 @@ class Detector:
             return impacts
         below = level < -self._baseline.threshold
         self._frames_below = self._frames_below + 1 if below else 0
-        if self._frames_below == BASELINE_FRAMES:
+        # A contact in this frame would be cut, and found again with the next baseline.
+        if (
+            self._frames_below >= BASELINE_FRAMES
+            and frame.high - self._baseline.force <= level + self._baseline.threshold
+        ):
             self._candidates.clear()
             return self._lose_baseline(self._segment_start)
         if frame.is_present:
