@@ -361,7 +361,8 @@ class ValidatedImpact:
     `series` describes the selected model over the series. `predictions` are those of every model that has a mass at
     the onset; `obstacle_mass` m_H [kg] and `configuration` are those of the run. `from_trend`: the robot state was
     extrapolated from before the impact, because the contact had already slowed the robot in the next one.
-    `force_share` is the component of the plate's normal along the axis of the sensor.
+    `force_share` is the component of the plate's normal along the axis of the sensor. `measured_force` is above the
+    `load_force` of an earlier contact.
     """
 
     stamp_ns: int
@@ -395,6 +396,7 @@ class ValidatedImpact:
     held_force: float = 0.0
     held_limit: float = 0.0
     held_region: str = ""
+    load_force: float = 0.0
 
 
 class RefusedImpact(NamedTuple):
@@ -402,7 +404,8 @@ class RefusedImpact(NamedTuple):
 
     `excluded`: because of the impact itself; otherwise it could not be matched with the robot's state. `reason` is the
     category by which such impacts are counted, `detail` describes this one and may be empty. `speed` [m/s] is that of a
-    press at its onset, 0 if it is not known. `load_force` [N] lay beneath the peak.
+    press at its onset, 0 if it is not known. `peak_force` is that above the `load_force` of an earlier contact, which
+    `held_force` includes.
     """
 
     stamp_ns: int

@@ -18,6 +18,7 @@ from scara_effmass.errors import BagError
 from scara_effmass.impacts.detector import Detector
 from scara_effmass.importers.force import IMPORTERS, import_force, import_wrenches
 from scara_effmass.importers.force_file import TABLE_SETTINGS, refuse_settings
+from scara_effmass.iso15066 import TRANSIENT_S
 from scara_effmass.settings import DetectionSettings, ImportSettings
 from scara_effmass.values import NAN, FloatArray, ForceBlock, Impact
 from scara_effmass.wire.cdr import NS
@@ -25,20 +26,23 @@ from scara_effmass.wire.message_types import FORCE_BLOCK, IMPACT, WRENCH, WRENCH
 
 MEASUREMENTS = (FORCE_BLOCK, IMPACT, WRENCH_STAMPED, WRENCH)
 """Types of measurements, in the order of preference."""
-IMPORT_SETTINGS = (*TABLE_SETTINGS, "axis", "unit", "sensor.invert", "sensor.sensitivity", "sensor.range")
+SENSOR_SETTINGS = ("sensor.invert", "sensor.sensitivity", "sensor.sensitivity_uncertainty", "sensor.range")
+IMPORT_SETTINGS = (*TABLE_SETTINGS, "axis", "unit", *SENSOR_SETTINGS)
 """Settings without effect on force blocks and impacts."""
 BEFORE_S = 0.01
 """Time before the onset; its median force is the baseline."""
 LOW_SHARE = 0.1
 """Share of the peak; the contact lasts while the force is above it."""
 AFTER_S = 0.1
-"""Longest time after the onset in a report."""
+"""Time after the onset in a report of impacts."""
 LEFT, RIGHT, BASE, TOP = 46.0, 314.0, 126.0, 16.0
 """Edges of the axes of a drawing [pixel]."""
 COLUMNS = 120
 """Columns of pixels to which a drawn trace is decimated."""
 SHOWN_DURATIONS = 4.0
-"""Width of a drawing in durations of the contact."""
+"""Width of a drawing in durations of the contact; it is wider if a mark is later."""
+MARK_MARGIN = 1.1
+"""Smallest width of a drawing in times of its latest mark."""
 
 
 class Measurement(NamedTuple):
@@ -173,14 +177,18 @@ def _import_wrenches(bag: Bag, settings: ImportSettings) -> Iterator[Measurement
 
 
 class ForceTrace(NamedTuple):
-    """Force (n,) [N] above the baseline at `time` (n,) [s] since the onset; empty without force blocks.
+    """Force (n,) [N] above the baseline `level` at `time` (n,) [s] since the onset; empty without force blocks.
 
-    `complete`: from the onset on no sample is lost, saturated or NaN.
+    `complete`: from the onset on no sample is lost, saturated or NaN. `relative_uncertainty` is the largest one of the
+    file. `outside` is the largest force [N] of the file in none of its traces, above the same baseline.
     """
 
     time: FloatArray
     force: FloatArray
+    level: float = 0.0
     complete: bool = True
+    relative_uncertainty: float = 0.0
+    outside: float = -math.inf
 
     @property
     def reaches_onset(self) -> bool:
@@ -198,18 +206,37 @@ class ForceTrace(NamedTuple):
         return float(self.time[fall[0]] - self.time[rise[-1]]) if rise.size and fall.size else None
 
     @property
+    def has_ended(self) -> bool:
+        """Whether the force is below `LOW_SHARE` of the peak at the end."""
+        return bool(self.force[-1] <= LOW_SHARE * self.force.max())
+
+    @property
+    def sample_rate(self) -> float:
+        """Sampling rate of two samples or more [Hz]."""
+        return 1.0 / float(np.median(np.diff(self.time))) if self.time.size > 1 else math.inf
+
+    @property
     def sampling_loss(self) -> float | None:
         """Largest share of the peak of a half-sine of this duration that can fall between two samples."""
         duration = self.duration
-        if duration is None:
-            return None
-        return sampling_loss(duration, 1.0 / float(np.median(np.diff(self.time))))
+        return None if duration is None else sampling_loss(duration, self.sample_rate)
+
+    @property
+    def marks(self) -> list[int]:
+        """Samples of the peak in the first 0.5 s, and of the peak later if the contact still lasts then."""
+        peaks = [
+            int(part[np.argmax(self.force[part])])
+            for is_inside in ((self.time >= 0.0) & (self.time <= TRANSIENT_S), self.time > TRANSIENT_S)
+            if (part := np.flatnonzero(is_inside)).size
+        ]
+        return [index for index in peaks if self.force[index] >= LOW_SHARE * self.force.max()]
 
 
 class Drawing(NamedTuple):
-    """A trace in SVG coordinates [pixel] for `macros.html`, and the ends of its axes [N, ms]."""
+    """A trace and its marks in SVG coordinates [pixel] for `macros.html`, and the ends of its axes [N, ms]."""
 
     points: str
+    marks: list[tuple[float, float]]
     predicted_y: float | None
     top: str
     end: str
@@ -228,11 +255,13 @@ class ShownTrace(NamedTuple):
     peak: float
     predicted: float | None = None
     speed: float | None = None
+    held: float | None = None
 
     def drawing(self) -> Drawing:
         """Return the trace and the predicted peak as a report draws them."""
         trace = self.trace
-        end = _round_up(min(SHOWN_DURATIONS * (trace.duration or AFTER_S), float(trace.time[-1])))
+        width = min(SHOWN_DURATIONS * (trace.duration or AFTER_S), float(trace.time[-1]))
+        end = _round_up(max([width, *(MARK_MARGIN * trace.time[trace.marks])]))
         inside = (trace.time >= -0.2 * end) & (trace.time <= end)
         time, force = decimate(trace.time[inside], trace.force[inside], COLUMNS)
         top = _round_up(1.02 * max(float(force.max()), self.predicted or 0.0, 1e-9))
@@ -244,12 +273,17 @@ class ShownTrace(NamedTuple):
             return round(LEFT + (RIGHT - LEFT) * (seconds + 0.2 * end) / (1.2 * end), 1)
 
         points = " ".join(f"{x(t)},{y(value)}" for t, value in zip(time.tolist(), force.tolist(), strict=True))
-        return Drawing(points, y(self.predicted) if self.predicted else None, f"{top:g}", f"{1e3 * end:.3g}", x(0.0))
+        marks = [(x(float(trace.time[i])), y(float(trace.force[i]))) for i in trace.marks]
+        predicted = y(self.predicted) if self.predicted else None
+        return Drawing(points, marks, predicted, f"{top:g}", f"{1e3 * end:.3g}", x(0.0))
 
 
 def sampling_loss(duration: float, rate: float) -> float:
-    """Return 1 - cos(pi / (2 T f)) for a half-sine of `duration` T [s] sampled at `rate` f [Hz]."""
-    return 1.0 - math.cos(min(0.5 * math.pi / (duration * rate), 0.5 * math.pi))
+    """Return 1 - cos(pi / (2 (T f - 2))) for a half-sine of `duration` T [s] sampled at `rate` f [Hz].
+
+    A duration from the sample before the contact to that after it may be two sampling periods too long.
+    """
+    return 1.0 - math.cos(0.5 * math.pi / max(duration * rate - 2.0, 1.0))
 
 
 NO_TRACE = ForceTrace(np.empty(0), np.empty(0))
@@ -268,17 +302,21 @@ def file_traces(
     after_s: float,
     losses: LossLog,
     offset_s: float = 0.0,
+    known_ns: Iterable[int] = (),
 ) -> list[ForceTrace]:
     """Return the force in the file or bag at `path` from each of `onsets_ns` to the next one, at most for `after_s`.
 
     `offset_s` is added to the stamps of the file. `losses` receives a line for each part that could not be read; with
-    one, no trace is complete. Raises BagError, SettingsError.
+    one, no trace is complete. The force for `after_s` from each of `known_ns` is not `outside` either. Raises BagError,
+    SettingsError.
     """
     onsets = np.array(list(onsets_ns), np.int64)
     following = [min(onsets[onsets > onset], default=math.inf) for onset in onsets]
     ends = np.minimum((np.array(following) - onsets) / NS, after_s)
     parts: list[list[tuple[FloatArray, FloatArray]]] = [[] for _ in onsets]
     complete = np.full(len(onsets), fill_value=True)
+    begins_ns = np.array([*onsets.tolist(), *known_ns], np.int64)
+    relative, outside = 0.0, -math.inf
     before: ForceBlock | None = None
     for _, block in file_measurements(path, settings, losses):
         if not isinstance(block, ForceBlock):
@@ -287,18 +325,26 @@ def file_traces(
         is_doubtful = ~is_finite
         is_doubtful[block.saturated_samples] = True
         is_doubtful[:1] |= lost_before(block, before) > 0
-        before = block
-        first = (block.stamp_ns + round(offset_s * NS) - onsets) / NS
+        before, relative = block, max(relative, block.relative_uncertainty)
+        stamp_ns, seconds = block.stamp_ns + round(offset_s * NS), np.arange(len(block.force)) / block.sample_rate
+        since = (stamp_ns - begins_ns) / NS
+        near = since[(since <= after_s) & (since + len(block.force) / block.sample_rate > -BEFORE_S), None] + seconds
+        is_outside = is_finite & ~((near >= -BEFORE_S) & (near <= after_s)).any(axis=0)
+        outside = max(outside, float(block.force[is_outside].max(initial=-math.inf)))
+        first = (stamp_ns - onsets) / NS
         last = first + len(block.force) / block.sample_rate
         for index in np.flatnonzero((first < ends) & (last > -BEFORE_S)):
-            time = first[index] + np.arange(len(block.force)) / block.sample_rate
+            time = first[index] + seconds
             inside = (time >= -BEFORE_S) & (time <= ends[index])
             complete[index] &= not is_doubtful[inside & (time > 0.0)].any()
             inside &= is_finite
             parts[index].append((time[inside], block.force[inside]))
     complete &= not any(losses)
     traces = [_above_baseline(*map(np.concatenate, zip(*part, strict=True))) if part else NO_TRACE for part in parts]
-    return [trace._replace(complete=bool(intact)) for trace, intact in zip(traces, complete, strict=True)]
+    return [
+        trace._replace(complete=bool(intact), relative_uncertainty=relative, outside=outside - trace.level)
+        for trace, intact in zip(traces, complete, strict=True)
+    ]
 
 
 def file_rise_ns(path: Path, settings: ImportSettings) -> int | None:
@@ -335,4 +381,5 @@ def recorded_traces(forces: RecordedForce, title: str) -> list[ShownTrace]:
 
 def _above_baseline(time: FloatArray, force: FloatArray) -> ForceTrace:
     before = force[time < 0.0]
-    return ForceTrace(time, force - (np.median(before) if before.size else 0.0))
+    level = float(np.median(before)) if before.size else 0.0
+    return ForceTrace(time, force - level, level)

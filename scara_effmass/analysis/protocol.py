@@ -46,7 +46,8 @@ yaml-language-server: $schema=protocol.schema.json"""
 
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
-Force = Annotated[float, Field(ge=0.0, le=1e6)]
+MAX_FORCE_N = 1e6
+Force = Annotated[float, Field(ge=0.0, le=MAX_FORCE_N)]
 Area = Annotated[float, Field(ge=1e-8, le=0.1)]
 """Contact area [m2]."""
 Text = Annotated[str, Field(min_length=1)]
@@ -166,6 +167,7 @@ class Repetition(FrozenSettings):
     reached_speed_m_s: Positive | None = stated("speed of the contact point at the onset [m/s]")
     transient_peak_n: Force | None = stated("largest force in the first 0.5 s [N]")
     force_beyond_0_5_s_n: Force | None = stated("largest force after the first 0.5 s [N]; 0: it had ended")
+    load_n: Force | None = optional("load from before the contact, which both forces include [N]; null: none")
     duration_s: Positive | None = stated("time above 10 % of the peak [s]")
     peak_pressure_n_cm2: NotNegative | None = optional(
         "largest pressure, if it was measured [N/cm2]; otherwise force over area is judged"
@@ -175,7 +177,28 @@ class Repetition(FrozenSettings):
     )
     reduced_mass_kg: Positive | None = optional("predicted reduced mass mu of robot and device [kg]")
     predicted_force_n: Positive | None = optional("predicted peak force [N]")
+    pose: dict[str, float] | None = optional("joint positions at the onset [rad, m], by joint")
+    direction: Vector3 | None = optional("of the motion at the onset, in the base frame [x, y, z]")
     simulated: bool | None = stated("true: simulated, not measured")
+
+    @property
+    def residual(self) -> float | None:
+        """Predicted / measured peak force of the impact - 1, without the load; None while one is missing."""
+        measured = (self.transient_peak_n or 0.0) - (self.load_n or 0.0)
+        return self.predicted_force_n / measured - 1.0 if self.predicted_force_n and measured > 0.0 else None
+
+
+class LeftOutForce(FrozenSettings):
+    """Force in the recordings, or a part of them, that is no contact of the test; fill enters it."""
+
+    reason: Text = Field(description="why it is no contact of the test")
+    count: int = Field(description="how often; peak and time are those of the largest force")
+    raw_data: Text | None = optional("recording or file that holds it, relative to this file; null: all")
+    raw_sha256: str | None = optional("SHA-256 of it")
+    time: AwareDatetime | None = optional("time of the onset, or of the largest force")
+    peak_n: Force | None = optional("largest force in the first 0.5 s [N]; null: not known")
+    held_n: Force | None = optional("largest force after the first 0.5 s [N]; null: not known, or no contact")
+    complete: bool = Field(description="false: the force may have been larger")
 
 
 class Evaluation(FrozenSettings):
@@ -192,6 +215,7 @@ class Evaluation(FrozenSettings):
     pressure_limit_n_cm2: float | None = stated("its limit [N/cm2]")
     ratio: float | None = stated("largest of the ratios of force or pressure to its limit")
     uncertainty: float | None = stated("relative expanded uncertainty (k = 2) of the force")
+    budget: dict[str, float] | None = stated("its sources")
     residual: float | None = stated("mean of predicted / measured peak force - 1")
 
 
@@ -199,6 +223,7 @@ class Results(FrozenSettings):
     """What was measured."""
 
     repetitions: tuple[Repetition, ...] = Field((), description=f"at least {MIN_REPETITIONS} contacts")
+    left_out: tuple[LeftOutForce, ...] = Field((), description="all other force in the recordings; do not edit")
     photos: tuple[Text, ...] | None = stated("files with photos of robot and device; []: none")
     deviations: Text | None = stated('deviations from the procedure; "none" if there are none')
     evaluation: Evaluation | None = optional("computed by fill; do not edit")

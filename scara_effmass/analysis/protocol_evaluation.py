@@ -7,9 +7,10 @@ The verdict on a test point is OK only if nothing is missing and nothing is doub
 import math
 import os
 from base64 import b64encode
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from datetime import datetime, timezone
+from functools import partial
 from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
@@ -17,8 +18,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from scara_effmass.analysis.assessment import Time
 from scara_effmass.analysis.forces import (
-    AFTER_S,
     BEFORE_S,
     LOW_SHARE,
     ForceTrace,
@@ -28,10 +29,14 @@ from scara_effmass.analysis.forces import (
     sampling_loss,
 )
 from scara_effmass.analysis.protocol import (
+    MAX_FORCE_N,
+    MIN_POSE_DISTANCE,
     MIN_REPETITIONS,
     ContactTest,
     Evaluation,
     Instrument,
+    LeftOutForce,
+    Motion,
     Protocol,
     Repetition,
     missing,
@@ -40,13 +45,16 @@ from scara_effmass.analysis.report import PAGE, PageOptions, file_hashes, render
 from scara_effmass.analysis.summary import worst
 from scara_effmass.analysis.validation import ValidatedRecording, Validation
 from scara_effmass.bags.batches import LossLog
+from scara_effmass.bags.files import open_bag
 from scara_effmass.errors import BagError, EffmassError, SettingsError
 from scara_effmass.impacts.agreement import region_force
-from scara_effmass.impacts.impact_matcher import PRESS
+from scara_effmass.impacts.impact_matcher import CLIPPED, INCOMPLETE, PRESS
+from scara_effmass.impacts.load import LATER_LOAD, NO_BASELINE, SLOW_CHANGE
+from scara_effmass.impacts.segment import STUCK
 from scara_effmass.input_files import digest
 from scara_effmass.iso15066 import TABLE_HASH, TRANSIENT_S, Limit, limits_for
 from scara_effmass.settings import ContactType, ImportSettings, MonitorSettings, checked
-from scara_effmass.values import RefusedImpact, ValidatedImpact, Verdict, at_least
+from scara_effmass.values import RefusedImpact, ValidatedImpact, Vector3, Verdict, at_least
 
 RECORD = "report.json"
 PHOTO_TYPES = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg", ".webp": "webp", ".gif": "gif"}
@@ -64,40 +72,119 @@ ROUNDING = 1e-3
 """Relative difference of forces that are the same."""
 STIFFNESS_TOLERANCE = 0.1
 """Largest relative difference of stiffness with which a device stands for the body region."""
+RATE_TOLERANCE = 0.05
+"""Largest relative difference between the stated sampling rate and that of the raw data."""
+POSE_TOLERANCE = 0.5 * MIN_POSE_DISTANCE
+"""Largest difference of a joint position [rad, m] from that of the test point."""
+DIRECTION_TOLERANCE_DEG = 10.0
+"""Largest angle to the direction of the test point [degrees]."""
 
 
-def repetitions(
-    validation: Validation, settings: ImportSettings, folder: Path, *, presses: bool = False
-) -> tuple[Repetition, ...]:
-    """Return the contacts of `validation`, those that are a press only with `presses`; paths are relative to `folder`.
+def filled(
+    test: ContactTest,
+    validation: Validation,
+    settings: ImportSettings,
+    folder: Path,
+    time: Time = Time.LIVE,
+    names_of: Callable[[tuple[str, ...]], tuple[str, ...]] = tuple,
+) -> ContactTest:
+    """Return `test` with the contacts of `validation`, and all other force in it; paths are relative to `folder`.
 
-    Raises BagError if there is none.
+    A press is a contact if the test is one of clamping. `settings` and `time` are those of the validation, `names_of`
+    gives the robot's names of reported joints. Raises BagError if there is no contact.
     """
     contacts: list[Repetition] = []
+    problems = filter(None, (validation.result.clock, validation.result.force_sign))
+    left_out = [LeftOutForce(reason=problem, count=1, complete=False) for problem in problems]
     for recording in validation.recordings:
+        raw = _raw_data(recording, folder)
         found: list[ValidatedImpact | RefusedImpact] = [*recording.impacts]
-        if presses:
-            found += [impact for impact in recording.refused if impact.reason == PRESS]
-        contacts += _repetitions(recording, sorted(found, key=attrgetter("stamp_ns")), settings, folder)
+        others = list(recording.refused)
+        if test.point.contact is ContactType.QUASI_STATIC:
+            found += [impact for impact in others if impact.reason == PRESS]
+            others = [impact for impact in others if impact.reason != PRESS]
+        found.sort(key=attrgetter("stamp_ns"))
+        poses = _poses(recording, [contact.stamp_ns for contact in found], time, names_of)
+        for item, pose in zip(_repetitions(recording, found, settings), poses, strict=True):
+            contacts.append(item.model_copy(update={**raw, "pose": pose or None}))
+        rest = [item.model_copy(update=raw) for item in _left_out(recording, others)]
+        left_out += rest if found or rest else [LeftOutForce(**raw, reason="no contact", count=1, complete=True)]
     if not contacts:
-        left_out = {**validation.result.excluded, **validation.result.unpaired}
-        reasons = "; ".join(f"{count}: {reason}" for reason, count in left_out.items())
+        refused = {**validation.result.excluded, **validation.result.unpaired}
+        reasons = "; ".join(f"{count}: {reason}" for reason, count in refused.items())
         names = ", ".join(str(recording.path) for recording in validation.recordings)
         raise BagError(f"{names}: no contact ({reasons})" if reasons else f"{names}: no contact")
-    return tuple(contacts)
+    return test.with_results(repetitions=tuple(contacts), left_out=tuple(left_out))
+
+
+def _raw_data(recording: ValidatedRecording, folder: Path) -> dict[str, str]:
+    path = recording.files[-1]
+    return {"raw_data": os.path.relpath(path.resolve(), folder.resolve()), "raw_sha256": digest(path, BagError)}
+
+
+def _poses(
+    recording: ValidatedRecording,
+    onsets_ns: Sequence[int],
+    time: Time,
+    names_of: Callable[[tuple[str, ...]], tuple[str, ...]],
+) -> list[dict[str, float]]:
+    """Return the latest position of each joint [rad, m] at each of `onsets_ns`."""
+    poses: list[dict[str, float]] = [{} for _ in onsets_ns]
+    with open_bag(recording.path) as bag:
+        for block in bag.joint_state_blocks(recording.joint_state_topic) if onsets_ns else ():
+            stamps_ns = block.log_time_ns if time is Time.LOG else block.stamp_ns
+            for onset_ns, pose in zip(onsets_ns, poses, strict=True):
+                before = np.flatnonzero(stamps_ns <= onset_ns)
+                if before.size:
+                    position = (round(value, 4) for value in block.position[before[-1]].tolist())
+                    pose.update(zip(names_of(block.names), position, strict=False))
+    return poses
+
+
+def _left_out(recording: ValidatedRecording, contacts: Sequence[RefusedImpact]) -> Iterator[LeftOutForce]:
+    """Yield the force in a recording that is in no contact of the test: `contacts`, and force that is in none."""
+
+    def force(value: float) -> float | None:
+        return float(f"{max(value, 0.0):.6g}") if value <= MAX_FORCE_N else None  # neither for NaN
+
+    for reason in dict.fromkeys(contact.reason for contact in contacts):
+        refused = [contact for contact in contacts if contact.reason == reason]
+        largest = max(refused, key=lambda contact: contact.peak_force + contact.load_force)
+        peaks = [force(contact.peak_force + contact.load_force) for contact in refused]
+        yield LeftOutForce(
+            reason=reason,
+            count=len(refused),
+            time=_time(largest.stamp_ns),
+            peak_n=None if None in peaks else max(filter(None, peaks), default=0.0),
+            held_n=force(max(contact.held_force or contact.load_force for contact in refused)),
+            complete=None not in peaks and reason not in {CLIPPED, INCOMPLETE},
+        )
+    for item in recording.left_out:
+        peak = force(item.peak_force)
+        yield LeftOutForce(
+            reason=item.reason,
+            count=item.occurrences,
+            time=_time(item.stamp_ns),
+            peak_n=peak,
+            held_n=peak if item.reason in {LATER_LOAD, SLOW_CHANGE} else None,
+            complete=peak is not None and item.reason not in {NO_BASELINE, STUCK},
+        )
+    lost = recording.lost_samples + recording.dropouts
+    if lost:
+        yield LeftOutForce(reason="lost samples", count=lost, complete=False)
+    for loss in recording.losses:
+        yield LeftOutForce(reason=loss, count=1, complete=False)
+
+
+def _time(stamp_ns: int) -> datetime:
+    return datetime.fromtimestamp(stamp_ns / 1e9, timezone.utc).astimezone()  # the local day: the test date
 
 
 def _repetitions(
-    recording: ValidatedRecording,
-    contacts: Sequence[ValidatedImpact | RefusedImpact],
-    settings: ImportSettings,
-    folder: Path,
+    recording: ValidatedRecording, contacts: Sequence[ValidatedImpact | RefusedImpact], settings: ImportSettings
 ) -> Iterator[Repetition]:
-    path = recording.files[-1]
-    stated = settings.model_dump(mode="json", exclude_defaults=True, exclude={"topic", "unit"})
+    stated = settings.model_dump(mode="json", exclude_unset=True, exclude={"topic", "unit"})
     raw = {
-        "raw_data": os.path.relpath(path.resolve(), folder.resolve()),
-        "raw_sha256": digest(path, BagError),
         "raw_channel": (settings.topic if recording.force_clock else recording.force_topic) or None,
         "raw_unit": settings.unit or None,
         "raw_offset_s": recording.force_offset if recording.force_clock else None,
@@ -113,12 +200,14 @@ def _repetition(contact: ValidatedImpact | RefusedImpact, trace: ForceTrace) -> 
     def rounded(value: float) -> float:
         return float(f"{value:.6g}")
 
-    predicted: dict[str, float] = {}
+    predicted: dict[str, float | Vector3] = {}
+    share = 1.0
     if isinstance(contact, RefusedImpact):
         measured = contact.peak_force
     else:
-        measured = contact.measured_force
+        measured, share = contact.measured_force, contact.force_share
         predicted = {
+            "direction": (rounded(contact.direction[0]), rounded(contact.direction[1]), rounded(contact.direction[2])),
             "effective_mass_kg": rounded(contact.effective_mass),
             "reduced_mass_kg": rounded(contact.reduced_mass),
             "predicted_force_n": rounded(contact.predicted_force),
@@ -130,12 +219,13 @@ def _repetition(contact: ValidatedImpact | RefusedImpact, trace: ForceTrace) -> 
         if late.size:
             # The interpolated peak of an impact may lie between two samples.
             peak = max(float(early.max()), measured if late.max() < early.max() else 0.0)
-            beyond = rounded(max(float(late.max()), 0.0))
+            beyond = rounded((max(float(late.max()), 0.0) + contact.load_force) / share)
     return Repetition(
-        time=datetime.fromtimestamp(contact.stamp_ns / 1e9, timezone.utc).astimezone(),  # the local day: the test date
+        time=_time(contact.stamp_ns),
         reached_speed_m_s=rounded(contact.speed) or None,
-        transient_peak_n=rounded(peak),
+        transient_peak_n=rounded((peak + contact.load_force) / share),
         force_beyond_0_5_s_n=beyond,
+        load_n=rounded(contact.load_force / share) or None,
         duration_s=trace.duration and rounded(trace.duration),
         simulated=contact.simulated,
         **predicted,
@@ -191,28 +281,40 @@ class Uncertainty(NamedTuple):
         return math.hypot(*self)
 
 
-def uncertainty(test: ContactTest, instrument: Instrument) -> Uncertainty | None:
-    """Return the uncertainty budget of a test, None while values are missing.
+def _uncertainty(test: ContactTest, instrument: Instrument, traces: Sequence[ForceTrace]) -> Uncertainty | None:
+    """Return the uncertainty budget of a test with its raw data, None while values are missing.
 
-    Repeatability is twice the standard deviation of the peaks. The loss between two samples, at most that of the
-    shortest contact, has a rectangular distribution. The force is proportional to the speed.
+    Calibration and sampling are the worse of what is stated and what the raw data has. Repeatability is twice the
+    standard deviation of the peaks. The loss between two samples, at most that of the shortest contact, has a
+    rectangular distribution. The force is proportional to the speed.
     """
     peaks = [item.transient_peak_n for item in test.results.repetitions if item.transient_peak_n is not None]
     durations = [item.duration_s for item in test.results.repetitions if item.duration_s is not None]
     force, speed, rate = instrument.force_uncertainty, instrument.speed_uncertainty, instrument.sample_rate_hz
     if force is None or speed is None or rate is None or len(peaks) < 2 or not durations or not min(peaks):
         return None
-    lost = sampling_loss(min(durations), rate)
+    lost = sampling_loss(min(durations), min([rate, *(trace.sample_rate for trace in traces)]))
     spread = 2.0 * float(np.std(peaks, ddof=1)) / float(np.mean(peaks))
+    force = max([force, *(trace.relative_uncertainty for trace in traces)])
     return Uncertainty(force, speed, spread, 2.0 * lost / math.sqrt(3.0))
 
 
 def evaluate(protocol: Protocol, test: ContactTest, folder: Path) -> Evaluation:
     """Return the evaluation of `test`, whose raw data is relative to `folder`. Raises SettingsError."""
     instrument = protocol.device(test)
-    values = _values(test, instrument) if instrument else {}
+    raw = list(_raw_contacts(protocol, test, folder))
+    traces = [trace for _, _, trace, _ in raw if isinstance(trace, ForceTrace) and trace.reaches_onset]
+    values: dict[str, Any] = _values(test, instrument) if instrument else {}
+    budget = _uncertainty(test, instrument, traces) if instrument else None
+    if budget:
+        values |= {"uncertainty": budget.total, "budget": budget._asdict()}
     ratio, relative = values.get("ratio"), values.get("uncertainty")
     reasons = list(_unknown_reasons(protocol, test, instrument, folder))
+    tolerance = instrument.force_uncertainty or 0.0 if instrument else 0.0
+    reasons += dict.fromkeys(_raw_reasons(raw, tolerance, folder))  # a file that is none counts once
+    if instrument:
+        reasons += _sampling_reasons(instrument, traces)
+        reasons += _other_reasons(test, instrument, traces, relative or 0.0)
     if ratio is None:
         return Evaluation(verdict=Verdict.UNKNOWN.name, reasons=reasons or ("no force",), **values)
     share = f"{at_least(100.0 * ratio, 0)}% of the limit"
@@ -263,10 +365,56 @@ def _unknown_reasons(
         is_held = duration_s > TRANSIENT_S + BEFORE_S and peak_n is not None
         if is_held and held_n is not None and held_n < LOW_SHARE * (peak_n or 0.0):
             yield f"duration and held force disagree: contact {number}, {duration_s:.3g} s, {held_n:.3g} N after 0.5 s"
-    yield from _changed_data(repetitions, folder)
-    tolerance = instrument.force_uncertainty or 0.0 if instrument else 0.0
-    yield from dict.fromkeys(_raw_reasons(test, tolerance, folder))  # a file that is none counts once
+        yield from _pose_reasons(number, item, motion)
+    yield from _changed_data([*repetitions, *test.results.left_out], folder)
     yield from (f"photo not found: {name}" for name in test.results.photos or () if not (folder / name).is_file())
+
+
+def _pose_reasons(number: int, item: Repetition, motion: Motion) -> Iterator[str]:
+    """Yield where a recorded contact was in another pose or direction than that of the test point."""
+    recorded = item.pose or motion.pose or {}
+    others = [
+        f"{joint} {recorded.get(joint, math.nan):.3f}, not {position:.3f}"
+        for joint, position in (motion.pose or {}).items()
+        if not abs(recorded.get(joint, math.nan) - position) <= POSE_TOLERANCE
+    ]
+    if others:
+        yield f"another pose than stated: contact {number}: {'; '.join(others)}"
+    if item.direction and motion.direction:
+        moved, stated = np.array(item.direction), np.array(motion.direction)
+        angle = math.degrees(math.atan2(np.linalg.norm(np.cross(moved, stated)), moved @ stated))
+        if not angle <= DIRECTION_TOLERANCE_DEG:
+            yield f"another direction than stated: contact {number}, by {angle:.0f} degrees"
+
+
+def _sampling_reasons(instrument: Instrument, traces: Sequence[ForceTrace]) -> Iterator[str]:
+    """Yield the sampling rates of the raw data that are not that of `instrument`."""
+    stated = instrument.sample_rate_hz
+    if stated:
+        for rate in sorted({f"{trace.sample_rate:.5g}" for trace in traces}):
+            if not abs(float(rate) / stated - 1.0) <= RATE_TOLERANCE:
+                yield f"another sampling rate than stated: {rate} Hz in the raw data, not {stated:.5g} Hz"
+
+
+def _other_reasons(
+    test: ContactTest, instrument: Instrument, traces: Sequence[ForceTrace], relative: float
+) -> Iterator[str]:
+    """Yield the force in none of the contacts that may exceed a limit; `relative` is the uncertainty of the force."""
+    point, left_out, largest = test.point, test.results.left_out, _largest(test)
+    if not (point.body_region and point.contact_area_m2):
+        return  # named as missing themselves
+    transient, held = _limits(point.body_region, point.contact_area_m2, point.contact)
+    harmless_n = held.permissible_force_n / (1.0 + relative)  # even if it stays
+    judged_n = math.inf if _needs_no_mass(instrument, transient) else largest
+    for item in left_out:
+        bound_n, peak_n = judged_n if item.held_n is not None else min(judged_n, harmless_n), item.peak_n or 0.0
+        if not item.complete or peak_n > bound_n:
+            size = f"{at_least(peak_n, 1)} N" if item.peak_n is not None else f"{item.count}"
+            yield f"left out: {size} in {item.raw_data or 'the recordings'}: {item.reason}"
+    known_n = min(harmless_n, max([largest, *(item.peak_n or 0.0 for item in left_out)]))
+    outside_n = max((trace.outside for trace in traces), default=0.0)
+    if outside_n > known_n * (1.0 + ROUNDING):
+        yield f"raw data shows force outside of the contacts that were entered: {at_least(outside_n, 1)} N"
 
 
 def _device_reasons(protocol: Protocol, test: ContactTest) -> Iterator[str]:
@@ -306,7 +454,7 @@ def _missing_masses(test: ContactTest, instrument: Instrument) -> Iterator[str]:
                 yield f"{kind}; missing: tests.{test.id}.results.repetitions.{number}.effective_mass_kg"
 
 
-def _changed_data(repetitions: tuple[Repetition, ...], folder: Path) -> Iterator[str]:
+def _changed_data(repetitions: Iterable[Repetition | LeftOutForce], folder: Path) -> Iterator[str]:
     for name, sha256 in dict.fromkeys((item.raw_data, item.raw_sha256) for item in repetitions):
         if name and sha256:
             path = folder / name
@@ -316,45 +464,54 @@ def _changed_data(repetitions: tuple[Repetition, ...], folder: Path) -> Iterator
                 yield f"raw data changed: {name}"
 
 
-def _onset_ns(item: Repetition) -> int:
+def _onset_ns(item: Repetition | LeftOutForce) -> int:
     return round(item.time.timestamp() * 1e6) * 1000 if item.time else 0
 
 
 def _raw_contacts(
-    test: ContactTest, folder: Path, after_s: float
+    protocol: Protocol, test: ContactTest, folder: Path
 ) -> Iterator[tuple[int, Repetition, ForceTrace | str, list[str]]]:
     """Yield number and values of each contact with a time and a peak, its force in the raw data, and remarks on those.
 
-    The force is up to `after_s`, or a text that says why there is none. Remarks on a file come with its first contact.
+    The force is that above the load, or a text that says why there is none. Remarks on a file come with its first
+    contact. A file may hold contacts of other tests.
     """
+    timed = [item for one in protocol.tests for item in one.results.repetitions if item.time]
     numbered = enumerate(test.results.repetitions, start=1)
     entered = [(number, item) for number, item in numbered if item.time and item.transient_peak_n is not None]
     for source, group in groupby(entered, lambda pair: pair[1].model_dump(include=SOURCE)):  # to read each file once
         numbers, items = zip(*group, strict=True)
         onsets_ns, losses, remarks = [_onset_ns(item) for item in items], LossLog(), list[str]()
         path, offset_s = folder / (source["raw_data"] or ""), source["raw_offset_s"]
+        others_ns = {_onset_ns(item) for item in timed if item.model_dump(include=SOURCE) == source}
+        onsets_ns += sorted(others_ns.difference(onsets_ns))
+        left_out = [item for item in test.results.left_out if item.time and item.raw_data == source["raw_data"]]
         stated = (source["raw_import"] or {}) | {"topic": source["raw_channel"] or "", "unit": source["raw_unit"] or ""}
         traces: Sequence[ForceTrace | str] = ["no raw data is named"] * len(items)
         try:
             if source["raw_data"]:
                 settings = checked(ImportSettings, stated, "raw_import")
-                traces = found = file_traces(path, settings, onsets_ns, after_s, losses, offset_s or 0.0)
-                if len(items) == 1 and offset_s is None and not found[0].reaches_onset:  # typed in by hand
+                known_ns = [_onset_ns(item) for item in left_out]
+                read = partial(file_traces, path, settings, onsets_ns, MAX_CONTACT_S, losses, known_ns=known_ns)
+                traces = found = read(offset_s or 0.0)
+                if len(onsets_ns) == 1 and offset_s is None and not found[0].reaches_onset:  # typed in by hand
                     rise_ns = file_rise_ns(path, settings)
                     if rise_ns is not None:
-                        traces = file_traces(path, settings, onsets_ns, after_s, losses, (onsets_ns[0] - rise_ns) / 1e9)
+                        traces = read((onsets_ns[0] - rise_ns) / 1e9)
                         remarks.append("drawn from its rise on, because the file has another clock")
         except EffmassError as error:
             traces = [str(error).removeprefix(f"{path}: ")] * len(items)
         remarks += [line.removeprefix(f"{path}: ") for line in losses]
-        for number, item, trace in zip(numbers, items, traces, strict=True):
+        for number, item, trace in zip(numbers, items, traces, strict=False):
             yield number, item, trace, remarks
             remarks = []
 
 
-def _raw_reasons(test: ContactTest, tolerance: float, folder: Path) -> Iterator[str]:
-    """Yield where the raw data is no force, or shows more than was entered; `tolerance` is relative."""
-    for number, item, trace, _ in _raw_contacts(test, folder, MAX_CONTACT_S):
+def _raw_reasons(
+    contacts: Iterable[tuple[int, Repetition, ForceTrace | str, list[str]]], tolerance: float, folder: Path
+) -> Iterator[str]:
+    """Yield where the raw data is no force, incomplete, or shows more than was entered; `tolerance` is relative."""
+    for number, item, trace, _ in contacts:
         name = item.raw_data
         if not name or not (folder / name).exists():
             continue  # named as missing, or as not found
@@ -364,11 +521,16 @@ def _raw_reasons(test: ContactTest, tolerance: float, folder: Path) -> Iterator[
         if not trace.reaches_onset:
             yield f"raw data without force at the time of the contact: contact {number}, {name}"
             continue
+        if not trace.complete:
+            yield f"raw data is incomplete, lost, saturated or NaN after the onset: contact {number}, {name}"
+        if not trace.has_ended:
+            text = f"contact {number}, {name}"
+            yield f"the force had not ended, record until the release, within {MAX_CONTACT_S:g} s: {text}"
         peak_n, held_n = item.transient_peak_n or 0.0, item.force_beyond_0_5_s_n or 0.0
-        is_early = trace.time <= TRANSIENT_S
+        is_early, total = trace.time <= TRANSIENT_S, trace.force + (item.load_n or 0.0)
         for force, entered_n in (
-            (trace.force[is_early], peak_n),
-            (trace.force[~is_early], max(held_n, LOW_SHARE * peak_n)),
+            (total[is_early], peak_n),
+            (total[~is_early], max(held_n, LOW_SHARE * peak_n)),
         ):
             if force.max(initial=0.0) > entered_n * (1.0 + max(tolerance, ROUNDING)):
                 text = f"{at_least(force.max(), 1)} N in {name}"
@@ -379,14 +541,7 @@ def _values(test: ContactTest, instrument: Instrument) -> dict[str, float | bool
     """Return the numbers of the evaluation for which the protocol states enough, or an excess."""
     point, repetitions = test.point, test.results.repetitions
     values: dict[str, float | bool] = {}
-    budget = uncertainty(test, instrument)
-    if budget:
-        values["uncertainty"] = budget.total
-    errors = [
-        item.predicted_force_n / item.transient_peak_n - 1.0
-        for item in repetitions
-        if item.predicted_force_n and item.transient_peak_n
-    ]
+    errors = [residual for item in repetitions if (residual := item.residual) is not None]
     if errors:
         values["residual"] = float(np.mean(errors))
     if not (point.body_region and point.contact_area_m2):
@@ -401,6 +556,13 @@ def _values(test: ContactTest, instrument: Instrument) -> dict[str, float | bool
     values["quasi_static_limit_n"] = held.force_n if held_measured else held.permissible_force_n
     judged = [force for item in repetitions if (force := _judged_force(transient, instrument, item)) is not None]
     later = [item.force_beyond_0_5_s_n for item in repetitions if item.force_beyond_0_5_s_n is not None]
+    is_complete = bool(repetitions) and len(judged) == len(later) == len(repetitions)
+    for item in test.results.left_out:
+        if item.held_n is not None:
+            later.append(item.held_n)
+            other = Repetition(transient_peak_n=item.peak_n)
+            if (item.peak_n or 0.0) > _largest(test) and (force := _judged_force(transient, instrument, other)):
+                judged.append(force)
     ratios = []
     judging: dict[str, float | bool] = {}
     if judged and instrument.stiffness_n_m:
@@ -415,8 +577,12 @@ def _values(test: ContactTest, instrument: Instrument) -> dict[str, float | bool
         judging |= {"pressure_n_cm2": max(pressures), "pressure_limit_n_cm2": pressure_limit.pressure_n_cm2}
         ratios.append(max(pressures) / pressure_limit.pressure_n_cm2)
     judging["ratio"] = max(ratios, default=0.0)
-    is_complete = bool(repetitions) and len(judged) == len(later) == len(repetitions)
     return values | judging if is_complete or judging["ratio"] > 1.0 else values
+
+
+def _largest(test: ContactTest) -> float:
+    """Return the largest transient force of the contacts [N]; another one up to it harms no more."""
+    return max((item.transient_peak_n or 0.0 for item in test.results.repetitions), default=0.0)
 
 
 def _limits(region: str, area_m2: float, contact: ContactType | None) -> tuple[Limit, Limit]:
@@ -449,28 +615,31 @@ def _judged_force(limit: Limit, instrument: Instrument, item: Repetition) -> flo
 
     The force on a device is converted to the region at equal speed. A device with the stiffness of the region stands
     for it: there the larger one of measured and converted force counts. Without the mass of the robot, the force on a
-    fixed device that is not softer than the region counts.
+    fixed device that is not softer than the region counts. A load from before the contact is added as measured.
     """
-    peak, mass, stiffness = item.transient_peak_n, item.effective_mass_kg, instrument.stiffness_n_m
+    total, load = item.transient_peak_n, item.load_n or 0.0
+    mass, stiffness = item.effective_mass_kg, instrument.stiffness_n_m
     device = math.inf if instrument.fixed else instrument.moving_mass_kg
-    if peak is None or device is None or stiffness is None:
+    if total is None or device is None or stiffness is None:
         return None
+    peak = max(total - load, 0.0)
     if mass is None:
         if not _needs_no_mass(instrument, limit):
             return None
-        return peak * math.sqrt(max(1.0, limit.stiffness_n_m / stiffness))  # of the lightest robot
-    force = region_force([limit], peak, [mass], device, stiffness).force
-    return max(force, peak) if _stands_for(stiffness, limit) else force
+        return peak * math.sqrt(max(1.0, limit.stiffness_n_m / stiffness)) + load  # of the lightest robot
+    force = region_force([limit], peak, [mass], device, stiffness, load).force
+    return max(force, total) if _stands_for(stiffness, limit) else force
 
 
 def write_report(protocol: Protocol, path: Path, folder: Path, options: PageOptions, *, overwrite: bool) -> None:
     """Write the report of the evaluated `protocol` in the file at `path` into `folder`. Raises OutputError."""
     content = record(protocol)
     contacts = [item for test in protocol.tests for item in test.results.repetitions]
-    data = [path.parent / item.raw_data for item in contacts if item.raw_data]
+    left_out = [item for test in protocol.tests for item in test.results.left_out]
+    names = [item.raw_data for item in contacts] + [item.raw_data for item in left_out]
+    data = [path.parent / name for name in names if name]
     photos = [path.parent / name for test in protocol.tests for name in test.results.photos or ()]
     traces, notes = _curves(protocol, path.parent)
-    devices = [(test, protocol.device(test)) for test in protocol.tests]
     page = render(
         "protocol.html",
         options.language,
@@ -481,7 +650,6 @@ def write_report(protocol: Protocol, path: Path, folder: Path, options: PageOpti
         traces=traces,
         curve_notes=notes,
         photos=list(_photos(protocol, path.parent)),
-        budgets=[(test.id, uncertainty(test, device) if device else None) for test, device in devices],
         files=file_hashes(Path(os.path.normpath(item)) for item in (path, *data, *photos)),
     )
     write_report_files(folder, {PAGE: page, RECORD: content}, options=options, overwrite=overwrite)
@@ -492,13 +660,15 @@ def _curves(protocol: Protocol, folder: Path) -> tuple[list[ShownTrace], list[tu
     curves: list[ShownTrace] = []
     notes: list[tuple[str, str, str]] = []
     for test in protocol.tests:
-        for number, item, trace, remarks in _raw_contacts(test, folder, AFTER_S):
+        for number, item, trace, remarks in _raw_contacts(protocol, test, folder):
             title = f"{test.id}, {number}"
             if isinstance(trace, str):
                 remarks.append(trace)
             elif trace.reaches_onset:
-                values = item.transient_peak_n or 0.0, item.predicted_force_n, item.reached_speed_m_s
-                curves.append(ShownTrace(title, _onset_ns(item), trace, bool(item.simulated), *values))
+                shown = trace._replace(force=trace.force + (item.load_n or 0.0))
+                held = item.force_beyond_0_5_s_n if len(shown.marks) > 1 else None
+                values = item.transient_peak_n or 0.0, item.predicted_force_n, item.reached_speed_m_s, held
+                curves.append(ShownTrace(title, _onset_ns(item), shown, bool(item.simulated), *values))
             else:
                 remarks.append("no force at the time of the contact: state raw_offset_s")
             notes += [(title, item.raw_data or "", text) for text in remarks]

@@ -17,8 +17,8 @@ from scara_effmass.analysis.protocol_evaluation import (
     RECORD,
     device_of,
     evaluated,
+    filled,
     record,
-    repetitions,
     write_report,
 )
 from scara_effmass.analysis.report import PAGE, PageOptions
@@ -38,7 +38,7 @@ from scara_effmass.errors import RobotError, SettingsError
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import ContactType, MonitorSettings
-from scara_effmass.values import Verdict
+from scara_effmass.values import Verdict, at_least
 
 NOT_OK = 1
 MARK = b"tests:"
@@ -87,11 +87,11 @@ def _init(args: argparse.Namespace) -> int:
 
 def _add_recording(plan: Plan, args: argparse.Namespace, settings: MonitorSettings, dynamics: RobotDynamics) -> None:
     with open_bag(args.recording) as bag, progress_bar() as progress:
-        topic = joint_state_topic(bag, args.topic)
-        assessed = assessed_rows(bag, topic, Monitor(dynamics, settings))
+        topic, monitor = joint_state_topic(bag, args.topic), Monitor(dynamics, settings)
+        assessed = assessed_rows(bag, topic, monitor)
         for _, state, decision in tracked(progress, bag, topic, assessed):
             if state is not None:
-                pose = dict(zip(state.names, state.position.tolist(), strict=False))
+                pose = dict(zip(monitor.names_of(state.names), state.position.tolist(), strict=False))
                 for contact in decision.contacts:
                     plan.add(contact, pose)
 
@@ -139,6 +139,9 @@ def _printed(protocol: Protocol, result: dict[str, Any], written: Path, *, as_js
     lines: list[tuple[str, object]] = [("not read", loss) for loss in result.get("losses", ())]
     lines += [("verdict", content["verdict"])]
     for test in protocol.tests:
+        for item in test.results.left_out:
+            size = "" if item.peak_n is None else f" (up to {at_least(item.peak_n, 1)} N)"
+            lines += [("left out", f"{test.id}: {item.count}: {item.reason}{size} in {item.raw_data or 'all'}")]
         if evaluation := test.results.evaluation:
             lines += [(evaluation.verdict, f"{test.id}: {reason}") for reason in evaluation.reasons]
     print_result({**result, **content}, [*lines, ("written", written)], as_json=as_json)
@@ -164,8 +167,7 @@ def _filled(args: argparse.Namespace, protocol: Protocol) -> tuple[Protocol, lis
     args.body_regions, args.contact = [test.point.body_region], test.point.contact
     args.contact_area_m2 = test.point.contact_area_m2
     settings = validation_settings(args)
-    is_held = test.point.contact is ContactType.QUASI_STATIC
-    if is_held:  # a held contact is to be one impact
+    if test.point.contact is ContactType.QUASI_STATIC:  # a held contact is to be one impact
         validator = override(settings.validator, {"impact_delay": 3.0 * MAX_CONTACT_S, "history": 6.0 * MAX_CONTACT_S})
         detection = override(settings.detection, {"longest": MAX_CONTACT_S})
         settings = replace(settings, validator=validator, detection=detection)
@@ -174,6 +176,7 @@ def _filled(args: argparse.Namespace, protocol: Protocol) -> tuple[Protocol, lis
         validator = override(settings.validator, {"contact_point": test.point.contact_point})
         settings = replace(settings, validator=validator)
     validation = validated(args, settings)
-    contacts = repetitions(validation, settings.force, args.protocol.parent, presses=is_held)
+    names_of = Monitor(dynamics, settings.monitor).names_of
+    test = filled(test, validation, settings.force, args.protocol.parent, settings.time, names_of)
     losses = [loss for recording in validation.recordings for loss in recording.losses]
-    return protocol.replaced(test.with_results(repetitions=contacts)), losses
+    return protocol.replaced(test), losses

@@ -442,6 +442,7 @@ class Validator:
             held_force=held.force,
             held_limit=held.limit,
             held_region=held.region,
+            load_force=impact.load_force,
             series=summary.statistics,
             predictions=tuple(predictions.values()),
             contact_point=self._contact_point,

@@ -11,7 +11,7 @@ import numpy as np
 from scara_effmass.bags.bag import Bag
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
-from scara_effmass.errors import BagError
+from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.impacts.detector import finite_parts
 from scara_effmass.importers.force_file import NEWTON_PER_UNIT, VOLT_PER_UNIT, ForceFile
 from scara_effmass.importers.wrench_topic import read_wrench_topic
@@ -102,6 +102,9 @@ def _force_blocks(path: Path, file: ForceFile, settings: ImportSettings) -> Iter
     is_voltage = file.unit in VOLT_PER_UNIT
     unit_scale = VOLT_PER_UNIT[file.unit] if is_voltage else NEWTON_PER_UNIT[file.unit]
     newton_scale = (1e3 / sensor.sensitivity if is_voltage else 1.0) * (-1.0 if sensor.invert else 1.0)
+    if is_voltage and "sensitivity" not in sensor.model_fields_set:
+        rule = f"must be stated for values in {file.unit}: --sensitivity MV_PER_N, from the sensor's certificate"
+        raise SettingsError(f"{path}: sensor.sensitivity: {rule}")
     saturation = sensor.range * (1.0 - RANGE_TOLERANCE)
     end = 0
     for block in file.blocks:

@@ -26,7 +26,7 @@ MASSES = (0.5, 7.35)
 ONSET_S = 1_772_614_800
 """Onset of the first contact of `content`, 2026-03-04 9:00 UTC."""
 RAW = "\n".join(
-    ["Time (s),Force (N)", *(f"{ONSET_S + i / 100:.2f},{0.5 * (i % 100 == 1)}" for i in range(-2, 300))]
+    ["Time (s),Force (N)", *(f"{ONSET_S + i / 2000:.4f},{0.5 * (1 <= i % 2000 <= 40)}" for i in range(-40, 6000))]
 ).encode()
 """Force of the contacts of `content`, one a second."""
 
@@ -128,7 +128,7 @@ def content(peak_n: float = 100.0) -> dict[str, Any]:
                 "stiffness_n_m": 75e3,
                 "damping": "none",
                 "fixed": True,
-                "sample_rate_hz": 10_000.0,
+                "sample_rate_hz": 2000.0,
                 "filter": "none",
                 "force_uncertainty": 0.03,
                 "speed_uncertainty": 0.02,

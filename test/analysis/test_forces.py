@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from scara_effmass.analysis.forces import ForceTrace, file_traces, read_force
+from scara_effmass.analysis.forces import ForceTrace, ShownTrace, file_traces, read_force
 from scara_effmass.bags.batches import LossLog
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
@@ -92,6 +92,27 @@ def test_no_trace_of_a_file_is_complete_of_which_a_part_cannot_be_read(tmp_path:
 @pytest.mark.parametrize("end", [-1e-3, 0.0])
 def test_trace_that_ends_before_its_impact_is_not_shown(end: float) -> None:
     assert not ForceTrace(np.linspace(end - 5e-3, end, 6), np.zeros(6)).reaches_onset
+
+
+@pytest.mark.parametrize(("late_n", "held", "end_ms"), [(0.0, 9.0, 390.0), (80.0, None, 880.0)])
+def test_a_drawing_reaches_its_peak_and_a_force_that_is_held(late_n: float, held: float | None, end_ms: float) -> None:
+    time = np.arange(-10, 2000) / 1e3
+    force = 100.0 * np.clip(1.0 - np.abs(time - 0.01) / 0.01, 0.0, 1.0) + 200.0 * (np.abs(time - 0.34) < 5e-3)
+    force += late_n * (np.abs(time - 0.8) < 5e-4)
+    drawing = ShownTrace("", 0, ForceTrace(time, force), simulated=False, peak=200.0, held=held).drawing()
+    assert float(drawing.end) == pytest.approx(end_ms, rel=0.05)
+    assert len(drawing.marks) == (2 if late_n else 1)
+    for x, y in drawing.marks:
+        assert f" {x}," in drawing.points
+        assert drawing.zero < x < 314.0
+        assert y < drawing.base
+
+
+@pytest.mark.parametrize(("samples", "loss"), [(2, 1.0), (3, 1.0 - np.cos(np.pi / 4)), (41, 1.0 - np.cos(np.pi / 80))])
+def test_the_sampling_loss_is_that_of_the_shortest_contact_with_these_samples(samples: int, loss: float) -> None:
+    force = np.concatenate([np.zeros(5), np.full(samples, 9.0), np.zeros(5)])
+    trace = ForceTrace(np.arange(force.size) / 1e3 - 4e-3, force)
+    assert trace.sampling_loss == pytest.approx(loss)
 
 
 def test_recording_without_force_gives_none() -> None:

@@ -2,6 +2,7 @@
 """Measurement protocol: schema, gaps, evaluation, proposed test points, and recorded contacts."""
 
 import json
+import math
 import re
 import time
 from collections.abc import Callable, Iterator
@@ -15,10 +16,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel, ValidationError
 
-from scara_effmass.analysis.protocol import Evaluation, Plan, Protocol, missing, protocol_yaml, read_protocol
-from scara_effmass.analysis.protocol_evaluation import evaluate, evaluated, overall, repetitions, write_report
+from scara_effmass.analysis.protocol import (
+    ContactTest,
+    Evaluation,
+    Plan,
+    Protocol,
+    Repetition,
+    missing,
+    protocol_yaml,
+    read_protocol,
+)
+from scara_effmass.analysis.protocol_evaluation import evaluate, evaluated, filled, overall, write_report
 from scara_effmass.analysis.report import PageOptions
-from scara_effmass.analysis.validation import ValidationSettings, validate
+from scara_effmass.analysis.validation import Validation, ValidationSettings, validate
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.reference import RobotDynamics
@@ -27,7 +37,7 @@ from scara_effmass.settings import ImportSettings, MonitorSettings, ValidatorSet
 from scara_effmass.values import ContactAssessment, ForceBlock, JointState, Verdict, severity
 from scara_effmass.wire.force import force_block_message
 from scara_effmass.wire.message_types import FORCE_BLOCK
-from test.analysis.conftest import RAW, Altered, changed, content
+from test.analysis.conftest import ONSET_S, RAW, Altered, changed, content
 
 HAND_LIMIT_N = 280.0
 
@@ -61,11 +71,13 @@ def leaves(item: BaseModel, path: tuple[str | int, ...] = ()) -> Iterator[tuple[
 PREDICTED = ("effective_mass_kg", "reduced_mass_kg", "predicted_force_n")
 OPTIONAL = {
     *("moving_mass_kg", "peak_pressure_n_cm2", *PREDICTED),
-    *("raw_offset_s", "raw_channel", "raw_unit", "raw_import"),
+    *("raw_offset_s", "raw_channel", "raw_unit", "raw_import", "load_n", "left_out"),
     *("report_number", "report_date", "site", "cell", "temperature_c", "certificate", "hazard_id", "tool"),
     *("pressure_instrument", "speed_instrument"),
 }
 PATHS = [path for path in leaves(Protocol.model_validate(content())) if path[-1] not in {"note", "evaluation"}]
+RECORDED = {"pose", "direction"}
+"""What fill enters of each contact, and a test point states."""
 
 
 def without(path: tuple[str | int, ...]) -> dict[str, Any]:
@@ -80,7 +92,7 @@ def without(path: tuple[str | int, ...]) -> dict[str, Any]:
 @pytest.mark.parametrize("path", PATHS, ids=lambda path: ".".join(map(str, path)))
 def test_a_missing_field_is_named_and_makes_the_verdict_unknown(path: tuple[str | int, ...], folder: Path) -> None:
     evaluation = result(without(path), folder)
-    if path[-1] in OPTIONAL:
+    if path[-1] in OPTIONAL or ("repetitions" in path and path[-1] in RECORDED):
         assert evaluation.verdict == "OK"
         return
     named = [reason for reason in evaluation.reasons if reason.endswith(f".{path[-1]}")]
@@ -242,6 +254,18 @@ CHANGES: dict[str, dict[str, Any]] = {
     "duration and held force disagree: contact 2, 3 s, 9 N": {
         "tests": [{"results": {"repetitions": [{}, {"duration_s": 3.0, "force_beyond_0_5_s_n": 9.0}]}}]
     },
+    "another sampling rate than stated: 2000 Hz in the raw data, not 12800 Hz": {
+        "instruments": [{"sample_rate_hz": 12800.0}]
+    },
+    "another pose than stated: contact 1: joint1 0.551, not 0.500": {
+        "tests": [{"results": {"repetitions": [{"pose": {"joint1": 0.551, "gripper": 0.0}}]}}]
+    },
+    "another pose than stated: contact 2: joint1 nan, not 0.500": {
+        "tests": [{"results": {"repetitions": [{}, {"pose": {"gripper": 0.0}}]}}]
+    },
+    "another direction than stated: contact 1, by 11 degrees": {
+        "tests": [{"results": {"repetitions": [{"direction": (1.0, 0.2, 0.0)}]}}]
+    },
 }
 
 
@@ -277,6 +301,116 @@ def test_each_quantity_may_have_an_instrument_of_its_own_which_must_be_calibrate
     assert result(values, folder).reasons[1:] == ("missing: instruments.film.calibration_due",)
     values["tests"][0]["speed_instrument"] = "laser"
     assert "unknown instrument: laser" in result(values, folder).reasons
+
+
+CLIPPED = "clipped: the force reached the end of the measuring range"
+REBOUND = "rebound of an earlier impact"
+OTHERS: dict[str, tuple[dict[str, Any], str]] = {
+    "above a limit": ({"reason": CLIPPED, "peak_n": 281.0, "held_n": 0.0, "complete": False}, "VIOLATION"),
+    "held above its limit": ({"reason": "press", "peak_n": 150.0, "held_n": 150.0}, "VIOLATION"),
+    "within the uncertainty": ({"reason": "the robot stands still", "peak_n": 275.0, "held_n": 0.0}, "WARN"),
+    "may be larger": ({"reason": CLIPPED, "peak_n": 10.0, "held_n": 0.0, "complete": False}, "UNKNOWN"),
+    "no contact, above the held limit": ({"reason": "single samples", "peak_n": 138.0}, "UNKNOWN"),
+    "no contact, below it": ({"reason": "single samples", "peak_n": 134.0}, "OK"),
+    "unknown": ({"reason": "lost samples", "complete": False}, "UNKNOWN"),
+    "known": ({"reason": REBOUND, "peak_n": 200.0, "held_n": 0.0}, "OK"),
+    "nothing": ({"reason": "no contact"}, "OK"),
+}
+
+
+@pytest.mark.parametrize("case", OTHERS)
+def test_other_force_in_the_recordings_counts(case: str, folder: Path) -> None:
+    other, verdict = OTHERS[case]
+    stated = {"count": 1, "complete": True, "raw_data": "raw.csv", "time": "2026-03-04T10:00:00+01:00", **other}
+    values = content()
+    values["tests"][0]["results"]["left_out"] = [stated]
+    evaluation = result(values, folder)
+    assert evaluation.verdict == verdict, evaluation.reasons
+    named = [reason for reason in evaluation.reasons if other["reason"] in reason]
+    assert bool(named) is (not stated["complete"] or verdict == "UNKNOWN")
+    page = report_page(values, folder)
+    assert f"<td>{other['reason']}</td>" in page
+    assert page.count(">raw.csv</td>") == 1
+
+
+@pytest.mark.parametrize(("peak_n", "verdict"), [(100.0, "OK"), (101.0, "UNKNOWN")])
+def test_a_rebound_on_a_moving_device_is_judged_by_a_larger_contact(peak_n: float, verdict: str, folder: Path) -> None:
+    values = changed(content(), {"instruments": [{"fixed": False, "moving_mass_kg": 2.0}]})
+    rebound = {"reason": REBOUND, "count": 1, "peak_n": peak_n, "held_n": 0.0, "complete": True}
+    values["tests"][0]["results"]["left_out"] = [rebound]
+    assert result(values, folder).verdict == verdict
+
+
+@pytest.mark.parametrize(("stiffness", "judged_n"), [(75e3, 150.0), (300e3, 50.0 + 100.0 * np.sqrt(0.25 * 0.2308))])
+def test_a_load_from_before_a_contact_is_in_the_force_as_measured(
+    stiffness: float, judged_n: float, folder: Path
+) -> None:
+    """Only the impact above it is converted to the region, and is predicted."""
+    values = changed(content(150.0), {"instruments": [{"stiffness_n_m": stiffness}]})
+    for item in values["tests"][0]["results"]["repetitions"]:
+        item |= {"load_n": 50.0, "force_beyond_0_5_s_n": 50.0, "predicted_force_n": 110.0}
+    evaluation = result(values, folder)
+    assert evaluation.judged_force_n == pytest.approx(judged_n, rel=1e-3)
+    assert evaluation.residual == pytest.approx(0.1)
+
+
+def force_csv(path: Path, force: Callable[[float], float], seconds: float = 3.2) -> str:
+    """Write `force` [N] at 2 kHz from 0.1 s before the first contact of `content`; return the name of the file."""
+    rows = (f"{ONSET_S + t:.4f},{force(t):.3f}" for t in np.arange(-0.1, seconds, 5e-4))
+    path.write_text("\n".join(["Time (s),Force (N)", *rows]) + "\n", encoding="utf-8")
+    return path.name
+
+
+def pulses(*peaks: tuple[float, float]) -> Callable[[float], float]:
+    """Return pulses of 20 ms at times [s], with peaks [N]."""
+    return lambda t: sum(peak * np.sin(np.pi * (t - at) / 0.02) for at, peak in peaks if 0.0 < t - at < 0.02)
+
+
+RAW_FORCES: dict[str, tuple[Callable[[float], float], str]] = {
+    "entered": (pulses((0.0, 100.0), (1.0, 100.0), (2.0, 100.0)), ""),
+    "before the contacts": (
+        pulses((-0.05, 140.0), (0.0, 100.0), (1.0, 100.0)),
+        "raw data shows force outside of the contacts that were entered: 140.0 N",
+    ),
+    "of another test": (pulses((0.0, 100.0), (2.8, 400.0)), ""),
+    "goes on": (
+        lambda t: 100.0 * (t > 2.0),
+        "the force had not ended, record until the release, within 10 s: contact 3, force.csv",
+    ),
+    "not a number": (
+        lambda t: math.nan if 0.25 < t < 0.26 else 0.0,
+        "raw data is incomplete, lost, saturated or NaN after the onset: contact 1, force.csv",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", RAW_FORCES)
+def test_raw_data_shows_what_nobody_entered(case: str, tmp_path: Path) -> None:
+    force, reason = RAW_FORCES[case]
+    values = content()
+    for item in values["tests"][0]["results"]["repetitions"]:
+        item |= {"raw_data": force_csv(tmp_path / "force.csv", force), "raw_sha256": None}
+    if case == "of another test":
+        other = {**values["tests"][0]["results"]["repetitions"][0], "time": "2026-03-04T10:00:02.8+01:00"}
+        values["tests"].append({"id": "2", "results": {"repetitions": [other]}})
+    protocol = evaluated(Protocol.model_validate(values), tmp_path)
+    evaluation = protocol.tests[0].results.evaluation
+    assert evaluation
+    assert evaluation.verdict == ("UNKNOWN" if reason else "OK"), evaluation.reasons
+    assert not reason or reason in evaluation.reasons
+
+
+def test_the_sampling_is_that_of_the_raw_data(tmp_path: Path) -> None:
+    """Two samples in a contact do not show its peak."""
+    values = content(250.0)
+    rows = (f"{ONSET_S + i / 200 + 1e-3},{250.0 * (i % 200 in {0, 1})}" for i in range(-20, 700))
+    (tmp_path / "slow.csv").write_text("\n".join(["Time (s),Force (N)", *rows]), encoding="utf-8")
+    for item in values["tests"][0]["results"]["repetitions"]:
+        item |= {"raw_data": "slow.csv", "raw_sha256": None, "duration_s": 0.015}
+    evaluation = result(values, tmp_path)
+    assert evaluation.verdict == "UNKNOWN"
+    assert evaluation.budget
+    assert evaluation.budget["sampling"] == pytest.approx(2.0 / np.sqrt(3.0))
 
 
 STATED = {
@@ -488,12 +622,17 @@ def device_settings() -> ValidationSettings:
     return ValidationSettings(validator=validator)
 
 
+def entered(validation: Validation, folder: Path = Path()) -> tuple[Repetition, ...]:
+    test = Protocol.model_validate(content()).tests[0]
+    return filled(test, validation, ImportSettings(), folder).results.repetitions
+
+
 def test_contacts_are_those_of_the_validation(
     campaign: list[Path], dynamics: RobotDynamics, device_settings: ValidationSettings, altered: Altered
 ) -> None:
     bags = [altered(path, block=measured, info={"simulated": False}) for path in campaign[:2]]
     validation = validate(bags, dynamics, device_settings)
-    contacts = repetitions(validation, ImportSettings(), bags[0].parent)
+    contacts = entered(validation, bags[0].parent)
     for impact, item, bag in zip(validation.result.impacts, contacts, bags, strict=True):
         assert item.time
         assert item.time.timestamp() == pytest.approx(impact.stamp_ns / 1e9, abs=1e-6)
@@ -503,6 +642,9 @@ def test_contacts_are_those_of_the_validation(
         assert item.force_beyond_0_5_s_n == pytest.approx(0.0, abs=1.0)
         assert item.duration_s == pytest.approx(np.pi * np.sqrt(impact.reduced_mass / 2e6), rel=0.2)
         assert item.simulated is False
+        assert item.direction == pytest.approx(impact.direction, abs=1e-5)
+        assert item.pose
+        assert {"joint1", "joint2", "joint3", "joint4"} <= item.pose.keys()
 
 
 @pytest.fixture
@@ -520,7 +662,7 @@ def test_contact_has_the_local_day(
     campaign: list[Path], dynamics: RobotDynamics, device_settings: ValidationSettings
 ) -> None:
     """That is the test date of a protocol; the recording is of 0:00 UTC."""
-    (item,) = repetitions(validate(campaign[:1], dynamics, device_settings), ImportSettings(), Path())
+    (item,) = entered(validate(campaign[:1], dynamics, device_settings))
     assert item.time
     assert item.time.isoformat()[:10] == "2025-12-31"
     assert item.time.utcoffset() == timedelta(hours=-8)
@@ -536,7 +678,7 @@ def test_force_that_is_held_counts_beyond_half_a_second(
         return block._replace(force=np.where(seconds > 0.52, block.force + 50.0, block.force))
 
     validation = validate([altered(campaign[0], block=held)], dynamics, device_settings)
-    (item,) = repetitions(validation, ImportSettings(), Path())
+    (item,) = entered(validation)
     assert item.force_beyond_0_5_s_n == pytest.approx(50.0, abs=1.0)
     assert item.simulated is True
 
@@ -565,7 +707,7 @@ def test_faults_of_the_force_after_the_contact_make_the_held_force_unknown(
         return FORCE_FAULTS[fault](block) if is_near else block
 
     validation = validate([altered(campaign[0], block=faulty)], dynamics, device_settings)
-    (item,) = repetitions(validation, ImportSettings(), Path())
+    (item,) = entered(validation)
     assert (item.force_beyond_0_5_s_n is None) is (after_s > 0.0)
     assert item.transient_peak_n
 
@@ -575,4 +717,55 @@ def test_a_recording_without_a_contact_is_refused(
 ) -> None:
     quiet = altered(campaign[0], block=lambda block: block._replace(force=1e-3 * block.force))
     with pytest.raises(BagError, match="no contact"):
-        repetitions(validate([quiet], dynamics, ValidationSettings()), ImportSettings(), Path())
+        entered(validate([quiet], dynamics, ValidationSettings()))
+
+
+def test_all_other_force_of_the_recordings_is_entered(
+    campaign: list[Path], dynamics: RobotDynamics, device_settings: ValidationSettings, altered: Altered
+) -> None:
+    """Contacts that are refused, force in no contact, lost samples, and a recording in which nothing happens."""
+    onset_ns = validate(campaign[:1], dynamics, device_settings).result.impacts[0].stamp_ns
+
+    def clipped(block: ForceBlock) -> ForceBlock:
+        return block._replace(saturated_samples=np.flatnonzero(block.force >= 30.0).astype(np.uint32))
+
+    def spoiled(block: ForceBlock) -> ForceBlock:
+        after_s = (block.stamp_ns - onset_ns) / 1e9 - 0.3
+        force = block.force.copy()
+        force[5] += 400.0 * (0.0 <= after_s < 0.1)
+        return block._replace(force=force, lost_samples=7 * (0.1 <= after_s < 0.2))
+
+    def quiet(block: ForceBlock) -> ForceBlock:
+        return block._replace(force=1e-3 * block.force)
+
+    bags = [campaign[0], *(altered(campaign[0], block=change) for change in (clipped, spoiled, quiet))]
+    test = ContactTest(id="1")
+    left_out = filled(test, validate(bags, dynamics, device_settings), ImportSettings(), Path("/")).results.left_out
+    by_reason = {(item.reason, Path(item.raw_data or "").name): item for item in left_out}
+    clip = by_reason[CLIPPED, bags[1].name]
+    assert (clip.complete, clip.held_n) == (False, 0.0)
+    assert clip.raw_sha256
+    assert by_reason[REBOUND, campaign[0].name].complete
+    single = by_reason["single samples", bags[2].name]
+    assert single.peak_n == pytest.approx(400.0, abs=3.0)
+    assert single.held_n is None
+    assert by_reason["lost samples", bags[2].name].count == 7
+    assert by_reason["no contact", bags[3].name].complete
+
+
+def test_a_contact_on_a_load_includes_it(
+    campaign: list[Path], dynamics: RobotDynamics, device_settings: ValidationSettings, altered: Altered
+) -> None:
+    plain = entered(validate(campaign[:1], dynamics, device_settings))[0]
+    assert plain.time
+    assert plain.transient_peak_n
+    onset_ns = round(plain.time.timestamp() * 1e9)
+
+    def loaded(block: ForceBlock) -> ForceBlock:
+        return block._replace(force=block.force + 50.0 * (block.stamp_ns - onset_ns > -0.6e9))
+
+    (item,) = entered(validate([altered(campaign[0], block=loaded)], dynamics, device_settings))
+    assert item.load_n == pytest.approx(50.0, abs=0.5)
+    assert item.transient_peak_n == pytest.approx(plain.transient_peak_n + 50.0, abs=1.0)
+    assert item.force_beyond_0_5_s_n == pytest.approx(50.0, abs=1.0)
+    assert item.duration_s == plain.duration_s

@@ -71,7 +71,10 @@ def test_the_hint_of_init_works_as_printed(cli: Cli, refused: Refused, swing_bag
 def test_fill_enters_simulated_contacts_which_stay_unknown(
     cli: Cli, refused: Refused, campaign: list[Path], tmp_path: Path
 ) -> None:
-    values = changed(content(), {"instruments": [{"stiffness_n_m": 2e6, "fixed": False, "moving_mass_kg": 2.39}]})
+    values = changed(
+        content(),
+        {"instruments": [{"stiffness_n_m": 2e6, "fixed": False, "moving_mass_kg": 2.39, "sample_rate_hz": 12.8e3}]},
+    )
     values["identity"]["test_date"] = "2026-01-01"
     values["tests"][0]["results"] = {"photos": [], "deviations": "none"}
     path = tmp_path / "protocol.yaml"
@@ -81,11 +84,17 @@ def test_fill_enters_simulated_contacts_which_stay_unknown(
     assert (done.returncode, filled["verdict"]) == (1, "UNKNOWN")
     (test,) = read_protocol(path).tests
     assert test.results.evaluation
-    assert test.results.evaluation.reasons[1:] == ("simulated: nothing was measured on a robot",)
+    _, simulated, *others = test.results.evaluation.reasons
+    assert simulated == "simulated: nothing was measured on a robot"
+    assert {reason.partition(":")[0] for reason in others} == {"another pose than stated"}
+    assert filled["tests"][0]["results"]["left_out"] == test.model_dump(mode="json")["results"]["left_out"] != []
+    assert {item.reason for item in test.results.left_out} == {"rebound of an earlier impact"}
     assert test.results.evaluation.residual == pytest.approx(0.0, abs=0.03)
     assert {item.raw_channel for item in test.results.repetitions} == {"/force"}
     assert "already filled in; use --force" in refused("protocol", "fill", path, *campaign)
-    assert cli("protocol", "fill", path, *campaign, "--force").returncode == 1
+    done = cli("protocol", "fill", path, *campaign, "--force")
+    assert done.returncode == 1
+    assert "left out        1: 4: rebound of an earlier impact (up to " in done.stdout
 
 
 def test_fill_takes_a_clamped_contact_as_one(cli: Cli, campaign: list[Path], tmp_path: Path) -> None:

@@ -44,11 +44,12 @@ def test_channel_keeps_its_waveform_times(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("stated", "unit", "newtons"),
-    [("Volts", "", 1e3 / 2.248), ("mV", "mV", 1.0 / 2.248), ("", "kN", 1e3), ("Kilonewtons", "", 1e3)],
+    [("Volts", "", 1e3 / 2.31), ("mV", "mV", 1.0 / 2.31), ("", "kN", 1e3), ("Kilonewtons", "", 1e3)],
 )
 def test_unit_is_that_of_the_channel_or_the_setting(tmp_path: Path, stated: str, unit: str, newtons: float) -> None:
     path = write(tmp_path / "run.tdms", {"g/c": (FORCE, TIMING | {"unit_string": stated})})
-    assert force_of(imported(path, unit=unit)) == pytest.approx((FORCE * newtons).tolist())
+    force = force_of(imported(path, unit=unit, **{"sensor.sensitivity": 2.31}))
+    assert force == pytest.approx((FORCE * newtons).tolist())
 
 
 def test_cut_file_is_imported_up_to_the_cut(tmp_path: Path) -> None:
