@@ -224,7 +224,7 @@ def load_dh(path: Path, settings: MonitorSettings) -> RobotDescription:
     Raises RobotError for a file that cannot be used, and for settings that the file must state itself.
     """
     locked = settings.locked_joints
-    if locked and locked != MonitorSettings.model_fields["locked_joints"].default:
+    if locked:
         raise RobotError(f"locked_joints = {locked!r}: must be unset for a DH file: set it in {path}")
     rows = read_yaml(path, RobotError)
     if isinstance(rows, dict) and any(isinstance(node, dict) and "ros__parameters" in node for node in rows.values()):

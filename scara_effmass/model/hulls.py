@@ -68,11 +68,16 @@ class LinkHull(NamedTuple):
 
 
 def urdf_hulls(
-    links: Mapping[str, ET.Element], origin: str, frames: Mapping[str, pin.Frame], package_dirs: Sequence[Path]
+    links: Mapping[str, ET.Element],
+    origin: str,
+    frames: Mapping[str, pin.Frame],
+    package_dirs: Sequence[Path],
+    sweep: Sequence[Mapping[str, pin.Frame]] = (),
 ) -> list[LinkHull]:
     """Return the polytope around the geometry of each of the `links` of a URDF that a joint moves.
 
-    `origin` names the URDF in errors, `frames` are the frames of the links in the reduced model, by name. The geometry
+    `origin` names the URDF in errors, `frames` are the frames of the links in the reduced model, by name, and `sweep`
+    those while a gripper closes: the polytope of a finger contains its geometry at all of them. The geometry
     is that of all <collision> elements, or of all <visual> ones for a link without collision; a link without either has
     no polytope. Meshes are searched in `package_dirs`, see `package_folders`. Raises RobotError for a size that is no
     number and for a mesh that cannot be read.
@@ -85,7 +90,8 @@ def urdf_hulls(
         if frame.parentJoint > 0 and elements:
             where = f"{origin}: link {name}: {source}"
             points = np.concatenate([_points(element, where, package_dirs) for element in elements])
-            placed = points @ frame.placement.rotation.T + frame.placement.translation
+            places = [frame.placement, *(at[name].placement for at in sweep if at[name].placement != frame.placement)]
+            placed = np.concatenate([points @ place.rotation.T + place.translation for place in places])
             hulls.append(stated_hull(name, frame.parentJoint, placed)._replace(source=source))
     return hulls
 
@@ -130,6 +136,12 @@ def outer_vertices(points: FloatArray) -> FloatArray:
     turn and adds others, as long as the sum decreases. Points that are flat are thickened first, see MIN_THICKNESS_M.
     """
     return _outer_vertices(_convex_hull(points))
+
+
+def margin(points: FloatArray, vertices: FloatArray) -> float:
+    """Return the distance [m] of the farthest of `points` (N, 3) from a plane around the polytope of `vertices`."""
+    planes = _hull_of(vertices).equations
+    return float((points @ planes[:, :3].T + planes[:, 3]).max())
 
 
 def triangles(vertices: FloatArray) -> FloatArray:

@@ -12,6 +12,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
+from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
@@ -37,7 +38,7 @@ from scara_effmass.model.description import (
     rotor_inertia,
     watched_links,
 )
-from scara_effmass.model.hulls import LinkHull, outer_vertices, package_folders, urdf_hulls
+from scara_effmass.model.hulls import LinkHull, margin, outer_vertices, package_folders, urdf_hulls
 from scara_effmass.settings import WHOLE_ARM, MonitorSettings
 from scara_effmass.values import FloatArray
 
@@ -54,15 +55,16 @@ CHAIN_NOTES = (
     "not watched for lack of geometry: ",
 )
 """Starts of the notes on which joints the model moves and which links are watched, and why."""
-MIN_SHARE, MIN_EXTENT = 0.01, 0.1
-"""Share of the moving mass from which on a link must have geometry, and extent of its geometry over its length."""
+MIN_SHARE, MIN_EXTENT, MAX_MARGIN_M = 0.01, 0.1, 0.05
+"""Share of the moving mass from which on a link must have geometry, extent of its geometry over its length, and
+distance [m] from the geometry around it up to which a link needs none."""
 MAX_JOINTS = 500
 """Largest number of joints in a file, fixed ones included; the time to check them grows with its square."""
 LIGHT_SHARE = 0.1
 """Share of the moving mass below which joints beyond a contact point may be held in the model."""
-MAX_FINGER_JOINTS = 5
-"""Largest number of joints of a finger."""
-ALIKE, FINGER_KG = 4.0, 0.02
+FINGER_M, FINGER_RAD = 0.3, math.pi
+"""Largest length of a finger from its first joint on, and range of that joint: a wrist turns farther."""
+ALIKE, FINGER_KG = 4.0, 0.05
 """Ratio of masses up to which branches are fingers of one gripper, and a mass that any finger may have."""
 _ROTOR_INERTIA = ("rotor_inertia", "motorInertia")
 _REDUCTION = ("gear_ratio", "mechanicalReduction")
@@ -73,6 +75,8 @@ _WAY_OUT = {
     "sdf": "this is SDF: use the robot's URDF, or convert it with sdformat_urdf, `ros2 run sdformat_urdf` or `gz sdf`",
 }
 """How to get a URDF from another format, by its root element."""
+_SWEEP = np.linspace(0.0, 1.0, 5)
+"""Shares of the ranges of a gripper's fingers at which the hulls hold them."""
 _MIN_AXIS_LENGTH = 1e-9
 """Length below which an axis has no direction."""
 
@@ -115,7 +119,7 @@ def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> RobotDescri
             f"the arm ends at its gripper, which branches or mimics and yields no more than held: {', '.join(parts)}"
         )
     model, positions = _reduced_model(tree, fixed)
-    frames = {name: model.frames[model.getBodyId(name)] for name in tree.links}
+    frames = _frames(tree, model)
     rotors = _rotors(tree, list(model.names)[1:], settings.armature)
     placed = []
     for entry, point, link in zip(entries, points, links, strict=True):
@@ -124,7 +128,7 @@ def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> RobotDescri
             raise RobotError(f"{origin}: contact_points = {entry!r}: must not be fixed to the base{locked}")
         pose = frames[link].placement * pin.SE3(np.eye(3), np.array(point.at))
         placed.append((point.name, frames[link].parentJoint, pose))
-    hulls, unwatched, hull_notes = _hulls(tree, model, frames, placed, settings)
+    hulls, unwatched, hull_notes = _hulls(tree, model, frames, fixed, placed, settings)
     notes += hull_notes
     moving = [link for link in tree.stated if frames[link.name].parentJoint > 0]
     mass = sum(link.mass for link in moving)
@@ -145,7 +149,7 @@ def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> RobotDescri
         tool_tip=tip,
         held=tuple(
             HeldJoint(
-                name, tree.is_tool_joint(name, needed), positions[name] if tree.shapes_arm(name, needed) else math.nan
+                name, tree.is_harmless(name, needed), positions[name] if tree.shapes_arm(name, needed) else math.nan
             )
             for name in sorted(fixed)
         ),
@@ -158,6 +162,7 @@ def _hulls(
     tree: UrdfTree,
     model: pin.Model,
     frames: Mapping[str, pin.Frame],
+    fixed: set[str],
     placed: list[tuple[str, int, pin.SE3]],
     settings: MonitorSettings,
 ) -> tuple[dict[str, FloatArray], tuple[str, ...], list[str]]:
@@ -171,7 +176,8 @@ def _hulls(
     path = Path(tree.origin)
     folders = package_folders(path if path.is_file() else None, [Path(folder) for folder in settings.package_dirs])
     try:
-        found = urdf_hulls(tree.links, tree.origin, frames, folders)
+        sweep = [_frames(tree, _reduced_model(tree, fixed, share)[0]) for share in _SWEEP] if tree.fingers else []
+        found = urdf_hulls(tree.links, tree.origin, frames, folders, sweep)
     except RobotError as error:
         if settings.contact_points:
             raise
@@ -180,7 +186,7 @@ def _hulls(
         return {}, (), ["no link has geometry: only the contact points are watched"]
     named = {joint for _, joint, _ in placed} if settings.contact_points else set[int]()
     is_chosen = settings.contact_links != MonitorSettings.model_fields["contact_links"].default
-    unwatched = () if is_chosen else tuple(_unwatched(tree, model, frames, found, named))
+    unwatched = () if is_chosen else tuple(_unwatched(tree, model, frames, found, placed, named))
     points, hulls = {name: (joint, pose) for name, joint, pose in placed}, dict[str, FloatArray]()
     watched, left_out = watched_links([hull.link for hull in found], settings.contact_links, tree.origin)
     for hull in (hull for hull in found if hull.link in watched):
@@ -205,11 +211,13 @@ def _unwatched(
     model: pin.Model,
     frames: Mapping[str, pin.Frame],
     found: Sequence[LinkHull],
+    placed: Sequence[tuple[str, int, pin.SE3]],
     named: Collection[int],
 ) -> Iterator[str]:
-    """Yield the moving links with mass and without a hull, and those whose hulls are much shorter than the link.
+    """Yield the moving links that the hulls `found` and the contact points `placed` do not cover.
 
-    A joint whose index is in `named` carries a contact point that the settings name.
+    They are links with mass and without a hull, links whose hulls are much shorter, and those whose frame or centre of
+    mass is far outside. A joint whose index is in `named` carries a contact point that the settings name.
     """
     shaped, seen = {hull.link for hull in found}, set(named)
     masses = {link.name: link.mass for link in tree.stated if frames[link.name].parentJoint > 0}
@@ -218,13 +226,20 @@ def _unwatched(
         if name not in shaped and joint not in named and mass > MIN_SHARE * sum(masses.values()):
             seen.add(joint)
             yield name
+    coms = {link.name: link.com for link in tree.stated}
     for joint in (joint for joint in range(1, model.njoints) if joint not in seen):
-        ends = (frame.placement for frame in frames.values() if frame.parentJoint == joint)
-        length = link_length(model, joint, ends)
+        ends = {name: frame.placement for name, frame in frames.items() if frame.parentJoint == joint}
+        length = link_length(model, joint, ends.values())
         hulls = [hull.vertices for hull in found if hull.joint == joint]
         extent = float(np.ptp(np.concatenate(hulls), axis=0).max()) if hulls else 0.0
         if length > MAX_VIRTUAL_M and extent < MIN_EXTENT * length:
             yield f"the link behind {model.names[joint]}"
+        elif hulls:
+            watched = np.vstack([*hulls, *(pose.translation for _, parent, pose in placed if parent == joint)])
+            for name in sorted(ends.keys() - shaped):
+                place, com = ends[name], coms.get(name, np.zeros(3))
+                if margin(np.array([place.translation, place.act(com)]), watched) > MAX_MARGIN_M:
+                    yield name
 
 
 def _rotors(tree: UrdfTree, joints: Sequence[str], entries: Sequence[str]) -> RotorInertia:
@@ -289,8 +304,16 @@ def _rotor_number(text: str | None, where: str) -> float:
     return value
 
 
-def _reduced_model(tree: UrdfTree, fixed: set[str]) -> tuple[pin.Model, dict[str, float]]:
-    """Return Pinocchio's model with the joints `fixed` at zero, or at the limit nearest to it, and their positions."""
+def _frames(tree: UrdfTree, model: pin.Model) -> dict[str, pin.Frame]:
+    """Return the frames of the links, by name."""
+    return {name: model.frames[model.getBodyId(name)] for name in tree.links}
+
+
+def _reduced_model(tree: UrdfTree, fixed: set[str], share: float | None = None) -> tuple[pin.Model, dict[str, float]]:
+    """Return Pinocchio's model with the joints `fixed` at zero, or at the limit nearest to it, and their positions.
+
+    Fingers of a gripper are at a `share` of their range if it is given.
+    """
     try:
         root = copy.deepcopy(tree.root)
         for link in root.findall("link"):  # the parser prints messages on geometry, which the model does not need
@@ -305,6 +328,12 @@ def _reduced_model(tree: UrdfTree, fixed: set[str]) -> tuple[pin.Model, dict[str
         joints = {name: model.getJointId(renamed[name]) for name in sorted(fixed)}
         # A planar or floating joint has several coordinates, and is held at zero.
         places = {name: (model.idx_qs[joint], model.nqs[joint]) for name, joint in joints.items()}
+        for name in tree.fingers if share is not None else ():
+            master, factor, offset = tree.drive(name)
+            (index, size), driven_by = places[name], places[master][0]
+            lower, upper = model.lowerPositionLimit[driven_by], model.upperPositionLimit[driven_by]
+            if size == 1 and upper - lower <= FINGER_RAD:
+                reference[index] = offset + factor * (lower + share * (upper - lower))
         positions = {name: float(reference[index]) if size == 1 else 0.0 for name, (index, size) in places.items()}
         reduced = pin.buildReducedModel(model, list(joints.values()), reference)
     except (ValueError, RuntimeError) as error:  # RuntimeError includes that of elements nested too deeply
@@ -373,13 +402,27 @@ class UrdfTree:
         """The joint that each joint with <mimic> follows."""
         self.lost = sorted(name for name, master in self._masters.items() if master not in self.joints)
         """Joints that mimic one that does not exist."""
+        self._moving = {name for name in self.joints if self.kind(name) != "fixed"}
         self._masses = dict.fromkeys(self.joints, 0.0)
         for stated in self.stated:
             for name in self.chain(stated.name):
                 self._masses[name] += stated.mass
             self._check_moments(stated)
-        self.gripper = self._gripper_joints()
-        """Joints of a gripper by its structure, see `_gripper_joints`, which are held as the locked ones are."""
+        masses = [stated.mass for stated in self.stated if self._moving.intersection(self.chain(stated.name))]
+        self._light_kg = LIGHT_SHARE * (sum(masses) - max(masses, default=0.0))
+        """Mass below which a part is light; of a robot without masses nothing is. The heaviest link may be a base."""
+        self._origins = {name: _origin(joint) for name, joint in self.joints.items()}
+        self._lengths = dict.fromkeys(self.joints, 0.0)
+        """Distances [m] of the origins of joints and links from each joint on, added along the chain."""
+        for link in self.links:
+            length = 0.0
+            for name in self.chain(link):
+                self._lengths[name] = max(self._lengths[name], length)
+                length += float(np.linalg.norm(self._origins[name].translation))
+        self.fingers = self._beyond({name for names in self._branches() if self._is_hand(names) for name in names})
+        """Joints of grippers that branch into fingers, see `_is_hand`."""
+        self.gripper = self.fingers | self._beyond(self._coupled_fingers())
+        """Joints of grippers by their structure, whatever their names, which are held as the locked ones are."""
         self.locked = self.named | self.gripper
 
     def _check_moments(self, link: StatedLink) -> None:
@@ -410,14 +453,18 @@ class UrdfTree:
         return [self._parents[step][1] for step in self._chain_links(link)[:-1]]
 
     def tip(self, link: str) -> str:
-        """Return the end of the longest chain from `link` outwards: most moving joints, then most joints.
+        """Return the end of the longest chain from `link` outwards: most moving joints, then farthest from the last.
 
         A chain ends before a locked joint: the tip is the link that carries a gripper's fingers, not a finger.
         """
-        return min(self._ends(link))[2]
+        return self._ends(link)[0][-1]
 
-    def _ends(self, link: str) -> list[tuple[int, int, str]]:
-        """Return the ends of the chains from `link` outwards, least first: most moving joints, then most joints."""
+    def _ends(self, link: str) -> list[tuple[int, int, int, str]]:
+        """Return the ends of the chains from `link` outwards, least first.
+
+        The first has most moving joints; among equal ones it is farthest from its last joint [mm], as a tool beside a
+        camera is, then it has most joints.
+        """
         # What is locked below all moving joints, such as a base, ends no chain.
         ends = {joint for joint in self.locked if self._moving_above(joint) - self.locked}
         free = {name: parent for name, (parent, joint) in self._parents.items() if joint not in ends}
@@ -425,9 +472,20 @@ class UrdfTree:
         for end in free.keys() - set(free.values()) | {link}:
             beyond = self._joints_beyond(link, end)
             if (beyond or end == link) and ends.isdisjoint(beyond):
-                moving = sum(self.kind(joint) != "fixed" and joint not in self.locked for joint in beyond)
-                ranked.append((-moving, -len(beyond), end))
+                moving = sum(map(self._moves, beyond))
+                ranked.append((-moving, -round(1e3 * self._distance(end)), -len(beyond), end))
         return sorted(ranked)
+
+    def _moves(self, joint: str) -> bool:
+        """Return whether `joint` moves on its own: it is neither fixed nor locked, and mimics none."""
+        return self.kind(joint) != "fixed" and joint not in self.locked and joint not in self._masters
+
+    def _distance(self, link: str) -> float:
+        """Return the distance [m] of the origin of `link` from the last joint that moves it."""
+        place = pin.SE3.Identity()
+        for joint in takewhile(lambda joint: not self._moves(joint), self.chain(link)):
+            place = self._origins[joint] * place
+        return float(np.linalg.norm(place.translation))
 
     def tip_beyond(self, link: str) -> str:
         """Return the end of the chain of joints whose motion counts for a contact point at `link`.
@@ -450,16 +508,15 @@ class UrdfTree:
                 mass += link.mass
         return mass
 
-    def is_tool_joint(self, joint: str, needed: Collection[str]) -> bool:
-        """Return whether `locked_joints` name `joint`, which moves a light part of the tool, as a finger.
+    def is_harmless(self, joint: str, needed: Collection[str]) -> bool:
+        """Return whether `joint` moves a finger of a gripper that the arm carries, and no contact point.
 
-        The joints `needed` move the contact points; they carry the tool, and none of them is a part of it.
+        The joints `needed` move the contact points; they carry the gripper.
         """
-        return joint in self.named and self._is_of_tool(joint, needed)
+        return joint in self.fingers and self._is_carried(joint, needed)
 
-    def _is_of_tool(self, joint: str, needed: Collection[str]) -> bool:
-        is_carried = not (self._moving_above(joint) - self.locked).isdisjoint(needed)
-        return is_carried and joint not in needed and self._is_light(self._masses[joint])
+    def _is_carried(self, joint: str, needed: Collection[str]) -> bool:
+        return joint not in needed and not (self._moving_above(joint) - self.locked).isdisjoint(needed)
 
     def shapes_arm(self, joint: str, needed: Collection[str]) -> bool:
         """Return whether masses or geometry depend on where the model holds `joint`, or the direction of gravity does.
@@ -468,56 +525,69 @@ class UrdfTree:
         `needed` move the contact points.
         """
         moved = set(needed) - self.locked
-        if self.kind(joint) not in MOVING or self._is_of_tool(joint, needed) or joint in self.gripper:
+        is_of_tool = self._is_carried(joint, needed) and self._masses[joint] < self._light_kg
+        if self.kind(joint) not in MOVING or is_of_tool or joint in self.gripper:
             return False
         carries = self.kind(joint) != "prismatic" and any(joint in self._moving_above(other) for other in moved)
         return carries or not self._moving_above(joint).isdisjoint(moved)
 
     def notes_on_tip(self, link: str) -> list[str]:
         """Return notes on the choice of `link` as the contact point."""
-        joints = [name for name in self.chain(link)[::-1] if self.kind(name) != "fixed" and name not in self.locked]
-        notes = [
-            f"contact point {link}: the tip of the longest chain (set contact_points for another): {', '.join(joints)}"
-        ]
-        others = [end for count, _, end in self._ends(self.base) if count == -len(joints)]
+        joints = [name for name in self.chain(link)[::-1] if self._moves(name)]
+        choice = "the farthest end of the longest chain (set contact_points for another)"
+        notes = [f"contact point {link}: {choice}: {', '.join(joints)}"]
+        others = [end for count, *_, end in self._ends(self.base) if count == -len(joints)]
         if others := [end for end in others if not set(joints) <= set(self.chain(end))]:
             notes.append(f"chains of as many joints end at {', '.join(others)}: {link} comes first by length and name")
         return notes
 
-    def _gripper_joints(self) -> set[str]:
-        """Return the joints of grippers at the end of an arm, whatever their names.
-
-        An arm ends at a light joint that mimics or is mimicked, and where it branches into light fingers: two or more
-        joints on one rigid body with equally many joints beyond, not more than a finger has, and similar masses.
-        Wheels on a body that carries an arm, too, are none.
-        """
-        moving = {name for name in self.joints if self.kind(name) != "fixed"}
-        coupled = {*self._masters, *self._masters.values()}
-        depths = dict.fromkeys(moving, 0)
-        for link in self.links:
-            for depth, name in enumerate((name for name in self.chain(link) if name in moving), start=1):
-                depths[name] = max(depths[name], depth)
+    def _branches(self) -> Iterable[list[str]]:
+        """Return the joints on each rigid body."""
         branches: dict[str, list[str]] = {}
-        for name in moving - self.named:
+        for name in self._moving:
             branches.setdefault(self._body_above(name), []).append(name)
-        starts = coupled & moving
-        for names in branches.values():
-            deepest = max(depths[name] for name in names)
-            masses = [self._masses[name] for name in names if depths[name] == deepest]
-            are_alike = len(masses) > 1 and max(masses) <= ALIKE * max(min(masses), FINGER_KG)
-            if are_alike and deepest <= MAX_FINGER_JOINTS and self._is_light(sum(self._masses[name] for name in names)):
-                starts.update(names)
-        starts = {name for name in starts if self._moving_above(name) and self._is_light(self._masses[name])}
-        return {name for name in moving if name in starts or self._moving_above(name) & starts}
+        return branches.values()
+
+    def _is_hand(self, names: Collection[str]) -> bool:
+        """Return whether `names`, the joints on one rigid body, begin two or more fingers of a gripper.
+
+        One finger mimics another, or the heaviest ones have alike masses. A hand's other joints are tiny, as motors.
+        """
+        fingers = sorted(filter(self._is_finger, names), key=lambda name: self._masses[name])
+        if len(fingers) < 2:
+            return False
+        second, heaviest = (self._masses[name] for name in fingers[-2:])
+        are_alike = heaviest <= ALIKE * max(second, FINGER_KG)
+        are_coupled = any(self._masters.get(name) in fingers for name in fingers)
+        others = set(names).difference(fingers)
+        has_only_fingers = all(self._is_small(name) and self._masses[name] <= FINGER_KG for name in others)
+        return (are_alike or are_coupled) and has_only_fingers
+
+    def _coupled_fingers(self) -> set[str]:
+        """Return the joints of fingers that a joint of the same finger mimics."""
+        pairs = ((name, master) for name, master in self._masters.items() if master in self._moving_above(name))
+        return {master for name, master in pairs if self._is_finger(name) and self._is_finger(master)}
+
+    def _is_finger(self, joint: str) -> bool:
+        """Return whether a finger may begin at `joint`: a small part that another joint moves, and no wrist."""
+        if self.kind(joint) not in {"revolute", "prismatic"} or not self._moving_above(joint):
+            return False
+        limit, where = self.joints[joint].find("limit"), f"{self.origin}: joint {joint}"
+        if limit is None:
+            return False
+        lower, upper = (numbers_of(limit, key, where, 1, "0", math.inf)[0] for key in ("lower", "upper"))
+        return self._is_small(joint) and upper - lower <= FINGER_RAD
+
+    def _is_small(self, joint: str) -> bool:
+        """Return whether what moves behind `joint` is light, and not longer than a finger."""
+        return self._is_light(self._masses[joint]) and self._lengths[joint] <= FINGER_M
 
     def _is_light(self, mass: float) -> bool:
-        """Return whether `mass` [kg] is less than LIGHT_SHARE of what moves without its heaviest link, as a base is.
+        return not mass or mass < self._light_kg
 
-        Of a robot without masses nothing is light.
-        """
-        moving = {name for name in self.joints if self.kind(name) != "fixed"}
-        masses = [link.mass for link in self.stated if moving.intersection(self.chain(link.name))]
-        return mass < LIGHT_SHARE * (sum(masses) - max(masses, default=0.0))
+    def _beyond(self, starts: Collection[str]) -> set[str]:
+        """Return the moving joints among `starts`, and beyond them."""
+        return {name for name in self._moving if name in starts or not self._moving_above(name).isdisjoint(starts)}
 
     def _moving_above(self, joint: str) -> set[str]:
         """Return the joints that move the parent link of `joint`."""
@@ -542,17 +612,38 @@ class UrdfTree:
             raise RobotError(f"{self.origin}: joint {joint}: must not mimic another joint: fix it with locked_joints")
 
     def require_no_follower(self, needed: Collection[str]) -> None:
-        """Raise RobotError for a joint that mimics one that the model moves, and is `needed` or named as locked.
+        """Raise RobotError for a joint that mimics one that the model moves, unless it moves a small part beside it.
 
-        Held, it would not follow. The joints of grippers are light enough for that.
+        Held, it would not follow. The joints `needed` move the contact points.
         """
-        for joint in sorted({*needed, *self.named} & self._masters.keys() - self.gripper):
-            master = self._masters[joint]
-            if master in needed and master not in self.locked:
-                raise RobotError(
-                    f"{self.origin}: joint {joint}: must not mimic {master}, which moves: remove <mimic>, and report "
-                    "the position of this joint in the joint states, too"
+        for joint in sorted(self._masters):
+            master, is_beside = self._leader(joint), joint not in needed
+            if master in needed and master not in self.locked and not (is_beside and self._is_small(joint)):
+                way_out = (
+                    f"hang it on a link that {master} moves, by a fixed joint, so that its mass counts"
+                    if is_beside
+                    else "remove <mimic>, and report the position of this joint in the joint states, too"
                 )
+                raise RobotError(f"{self.origin}: joint {joint}: must not mimic {master}, which moves: {way_out}")
+
+    def drive(self, joint: str) -> tuple[str, float, float]:
+        """Return the finger joint that `joint` mimics, the multiplier and the offset; itself if it mimics none."""
+        master, mimic = self._masters.get(joint, joint), self.joints[joint].find("mimic")
+        if mimic is None or master not in self.fingers:
+            return joint, 1.0, 0.0
+        where = f"{self.origin}: joint {joint}"
+        factor, offset = (
+            numbers_of(mimic, key, where, 1, default)[0] for key, default in (("multiplier", "1"), ("offset", "0"))
+        )
+        return master, factor, offset
+
+    def _leader(self, joint: str) -> str:
+        """Return the joint that `joint` mimics, if need be by way of others."""
+        followers = set[str]()
+        while joint in self._masters.keys() - followers:
+            followers.add(joint)
+            joint = self._masters[joint]
+        return joint
 
     def _joints_beyond(self, body: str, link: str) -> list[str]:
         """Return the joints from `link` up to the link `body`, none if `link` is not on it."""
@@ -580,14 +671,23 @@ def _check_pose(joint: ET.Element, where: str) -> None:
         raise RobotError(f"{where}: axis = {axis.get('xyz')!r}: must have a direction")
 
 
+def _origin(joint: ET.Element) -> pin.SE3:
+    """Return the pose of the frame of `joint` in its parent link, whose numbers are checked."""
+    pose = joint.find("origin")
+    if pose is None:
+        return pin.SE3.Identity()
+    xyz = np.array(numbers_of(pose, "xyz", "", 3, default="0 0 0"))
+    return pin.SE3(pin.rpy.rpyToMatrix(np.array(angles_of(pose, ""))), xyz)
+
+
 def _is_locked(joint: str, globs: Sequence[str]) -> bool:
     return any(fnmatchcase(joint.lower(), glob.lower()) for glob in globs)
 
 
 def _require_matches(globs: Sequence[str], tree: UrdfTree) -> None:
-    """Raise RobotError for a glob of locked_joints that matches no joint, unless it is a default one."""
+    """Raise RobotError for a glob of locked_joints that matches no joint."""
     joints = [name for name in tree.joints if tree.kind(name) != "fixed"]
-    for glob in set(globs).difference(MonitorSettings.model_fields["locked_joints"].default):
+    for glob in globs:
         if not any(_is_locked(joint, [glob]) for joint in joints):
             raise RobotError(f"{tree.origin}: locked_joints = {glob!r}: must match a joint: {', '.join(joints)}")
 

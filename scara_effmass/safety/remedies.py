@@ -74,8 +74,9 @@ REMEDIES = {
     Reason.ONLY_OTHER_JOINTS: NAMES,
     Reason.OTHER_JOINTS_SINCE: CONNECTION,
     Reason.UNMODELLED_MOTION: (
-        "give a robot file with this joint and contact points that it moves; name it in `ignored_joints` only if it "
-        "moves nothing that can hit a person; once its device is gone, call `~/reset` of the monitor"
+        "let the model move this joint by a robot file with it, contact points beyond it and no `locked_joints`; name "
+        "it, or the parts of a gripper by a pattern, in `ignored_joints` only if it moves nothing that can hit a "
+        "person; once its device is gone, call `~/reset` of the monitor"
     ),
     Reason.HELD_ELSEWHERE: (
         "let the model move this joint by contact points beyond it and no `locked_joints`, or fix it in the robot file "

@@ -161,8 +161,9 @@ class MonitorSettings(FrozenSettings):
         (), 'position limits in place of those of the robot file [rad or m]: "joint=lower upper"'
     )
     locked_joints: tuple[str, ...] = fixed(
-        ("*gripper*", "*finger*"),
-        "joints, by name or glob pattern, fixed in the model: their mass counts, their motion does not",
+        (),
+        "joints, by name or glob pattern, fixed in the model besides those of grippers: their mass counts; one that "
+        "moves gives UNKNOWN",
     )
     ignored_joints: tuple[str, ...] = fixed(
         (),

@@ -145,7 +145,7 @@ def test_inertia_of_a_link_that_does_not_move_may_be_impossible() -> None:
     assert robot_of(base, *ARM, contact_points=("tool",)).masses_reason == ""
 
 
-@pytest.mark.parametrize(("globs", "names"), [(("j9",), "j9"), (("*gripper*", "*finger*", "J1"), "")])
+@pytest.mark.parametrize(("globs", "names"), [(("j9",), "j9"), (("J1",), "")])
 def test_locked_joints_that_match_none_are_refused(globs: tuple[str, ...], names: str) -> None:
     parts = (link("chassis", 60), *ARM)
     if not names:

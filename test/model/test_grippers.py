@@ -2,6 +2,7 @@
 """Grippers at the end of an arm, whatever the names of their joints: a free finger decides neither point nor mass."""
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from scara_effmass.model.load import build_robot
 from scara_effmass.model.robot import Robot
 from scara_effmass.model.urdf import parse_urdf
 from scara_effmass.reference import RobotDynamics
+from scara_effmass.safety.assumptions import scope
 from scara_effmass.settings import MonitorSettings
 
 UR5 = Path(__file__).resolve().parents[2] / "config" / "robots" / "ur5_robot.urdf"
@@ -61,18 +63,26 @@ HAND = [
     *(moved(f"{finger}-0", "palm", f"{finger}0") for finger in "abc"),
     *(moved(f"{finger}-{i}", f"{finger}{i - 1}", f"{finger}{i}") for finger in "abc" for i in (1, 2)),
 ]
+THUMB = [*HAND, part("a3", 0.01), moved("a-3", "a2", "a3")]  # one joint more than the fingers
+MOTORS = [*HAND, part("m", 0.05), moved("motor", "palm", "m", kind="continuous")]
 SLIDES = [*PALM, part("a", 0.1), part("b", 0.12)]
 SLIDES += [moved("left", "palm", "a", kind="prismatic"), moved("right", "palm", "b", kind="prismatic")]
 
 
-@pytest.mark.parametrize("gripper", [TWO, MIMIC, DRIVEN, HAND, SLIDES], ids=["two", "mimic", "one", "hand", "slides"])
-def test_arm_ends_at_its_gripper_and_says_so(gripper: list[str]) -> None:
+@pytest.mark.parametrize(
+    ("gripper", "is_harmless"),
+    [(TWO, True), (MIMIC, True), (DRIVEN, False), (HAND, True), (THUMB, True), (MOTORS, True), (SLIDES, True)],
+    ids=["two", "mimic", "one", "hand", "thumb", "motors", "slides"],
+)
+def test_arm_ends_at_its_gripper_and_says_so(gripper: list[str], is_harmless: bool) -> None:  # noqa: FBT001
+    """One finger alone might be a wrist: its motion counts."""
     robot = ur5_with(gripper)
     assert list(robot.contact_frames) == ["palm"]
     assert robot.joint_names[-1] == WRIST
     joints = {entry.split('"')[1] for entry in gripper if entry.startswith("<joint") and "fixed" not in entry}
     assert {joint.name for joint in robot.held} == joints
-    assert not any(joint.is_harmless for joint in robot.held)
+    assert {joint.is_harmless for joint in robot.held} == {is_harmless}
+    assert ("motion does not count of" in scope(robot, MonitorSettings())) == is_harmless
     (note,) = (note for note in robot.notes if note.startswith("the arm ends at its gripper"))
     assert note.endswith(", ".join(sorted(joints)))
 
@@ -96,10 +106,30 @@ def test_point_on_a_finger_has_the_mass_of_the_closed_gripper() -> None:
     assert masses(held) == masses(locked) > 1.0
 
 
-def test_joints_of_a_gripper_that_locked_joints_name_are_harmless() -> None:
-    robot = ur5_with(TWO, locked_joints=("[pqrs]",))
-    assert [joint.is_harmless for joint in robot.held] == [True] * 4
-    assert not any("gripper" in note for note in robot.notes)
+@pytest.mark.parametrize(
+    ("locked", "points", "harmless"),
+    [
+        (("[pqrs]",), (), {"p", "q", "r", "s"}),
+        ((WRIST,), (), set()),  # no joint of the model carries the gripper
+        ((), ("a2",), {"r", "s"}),  # the motion of p and q is that of the contact point
+        ((WRIST,), ("forearm_link",), set()),
+    ],
+)
+def test_only_fingers_without_a_contact_point_are_harmless(
+    locked: tuple[str, ...], points: tuple[str, ...], harmless: set[str]
+) -> None:
+    robot = ur5_with(TWO, locked_joints=locked, contact_points=points)
+    assert {joint.name for joint in robot.held if joint.is_harmless} >= harmless
+    assert WRIST not in {joint.name for joint in robot.held if joint.is_harmless}
+
+
+@pytest.mark.parametrize("locked", [(), ("*gripper*",)])
+def test_name_makes_no_gripper_of_a_wrist(locked: tuple[str, ...]) -> None:
+    text = UR5.read_text(encoding="utf-8").replace(WRIST, "gripper_rotation")
+    settings = MonitorSettings(locked_joints=locked)
+    robot = build_robot(parse_urdf(text, "ur5.urdf", settings), settings)
+    assert robot.joint_names[5:] == (() if locked else ("gripper_rotation",))
+    assert [joint.is_harmless for joint in robot.held] == [False] * len(locked)
 
 
 def test_jaw_without_a_second_one_counts_as_locked_in_the_mass_and_moves() -> None:
@@ -171,6 +201,41 @@ def test_mimic_joint_of_the_arm_is_refused_unless_its_master_rests(
         assert parse_urdf(text, "ur5.urdf", settings).model.nv == 4
 
 
+@pytest.mark.parametrize(
+    ("mass", "parent", "place", "master", "refusal"),
+    [
+        (0.1, "wrist_2_link", "0 0 0.02", WRIST, ""),  # a cable guide
+        (0.1, "wrist_3_link", "0 0 0.02", WRIST, ""),
+        (0.1, "base_link", "0 0 0.02", "elbow_joint", ""),
+        (9.0, "base_link", "0 0 0.02", "elbow_joint", "elbow_joint"),  # a second drive
+        (0.1, "base_link", "0 0 0.5", "elbow_joint", "elbow_joint"),  # a long pole
+        (9.0, "base_link", "0 0 0.02", "other", "elbow_joint"),
+    ],
+)
+def test_part_beside_the_arm_may_mimic_it_if_it_is_small(
+    mass: float, parent: str, place: str, master: str, refusal: str
+) -> None:
+    parts = [part("guide", mass), moved("guide_joint", parent, "guide", mimic=master), part("end", 0.01)]
+    parts += [moved("end_joint", "guide", "end", place, kind="fixed"), part("more", 0.01)]
+    parts.append(moved("other", "base_link", "more", mimic="elbow_joint"))
+    if refusal:
+        with pytest.raises(RobotError, match=rf"guide_joint: must not mimic {refusal}, which moves: hang it on a link"):
+            ur5_with(parts)
+        return
+    robot = ur5_with(parts)
+    assert (robot.joint_names[-1], next(iter(robot.contact_frames))) == (WRIST, "ee_link")
+    assert not any(joint.is_harmless for joint in robot.held)
+
+
+@pytest.mark.parametrize(("place", "tip"), [("0 0 0.45", "tcp"), ("0 0 0.02", "lens3")])
+def test_of_ends_with_equally_many_joints_the_farthest_is_the_tip(place: str, tip: str) -> None:
+    frames = ['<link name="tcp"/>', moved("t", "tool0", "tcp", place, kind="fixed")]
+    frames += [f'<link name="lens{i}"/>' for i in range(1, 4)]
+    for name, (parent, child) in enumerate(pairwise(("tool0", "lens1", "lens2", "lens3"))):
+        frames.append(moved(f"l{name}", parent, child, "0.02 0 0", kind="fixed"))
+    assert list(ur5_with(frames).contact_frames) == [tip]
+
+
 def test_arms_of_equal_length_are_named() -> None:
     limbs = [
         text
@@ -185,7 +250,7 @@ def test_arms_of_equal_length_are_named() -> None:
     text = f'<robot name="two">{part("torso", 20.0)}{"".join(limbs)}</robot>'
     robot = build_robot(parse_urdf(text, "two.urdf", MonitorSettings()), MonitorSettings())
     assert robot.notes[:3] == (
-        "contact point left2: the tip of the longest chain (set contact_points for another): left_1, left_2",
+        "contact point left2: the farthest end of the longest chain (set contact_points for another): left_1, left_2",
         "chains of as many joints end at right2: left2 comes first by length and name",
         "held fixed in the model: right_1, right_2",
     )
@@ -194,5 +259,5 @@ def test_arms_of_equal_length_are_named() -> None:
 def test_ordinary_arms_change_no_bit(load_urdf_file: Callable[..., Robot]) -> None:
     for name in ("ur5_robot.urdf", "ur10_robot.urdf", "panda.urdf", "xarm7.urdf", "scara_icube_tutorial.urdf"):
         robot = load_urdf_file(name)
-        assert not any("counts as locked" in note or "gripper," in note for note in robot.notes)
+        assert not any("counts as locked" in note for note in robot.notes)
         assert not pin.Model(robot.model).armature.any()

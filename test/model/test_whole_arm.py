@@ -52,7 +52,7 @@ def test_every_link_with_geometry_is_a_contact(arm: Path) -> None:
     assert "by their visual geometry, without another: camera" in dynamics.robot.notes
     assert "slower than the allowable speed at flange, upper_arm, forearm, camera" in scope(dynamics.robot, settings)
     left_out = load_robot(arm, MonitorSettings(contact_points=("whole_arm",), contact_links=("*arm",)))
-    assert RobotDynamics(left_out).contact_points == ("camera", "upper_arm", "forearm")
+    assert RobotDynamics(left_out).contact_points == ("flange", "upper_arm", "forearm")
     assert "links that contact_links leaves out: camera" in left_out.notes
 
 
@@ -83,6 +83,50 @@ def test_contact_points_are_stated_only_if_each_link_with_mass_or_length_is_watc
     assert (Assumption.CONTACT_POINTS in assumptions_of(robot, settings).assumed) == any(unwatched)
     chosen = settings.model_copy(update={"contact_links": ("forearm", "camera")})
     assert load_robot(arm, chosen).unwatched == ()
+
+
+@pytest.mark.parametrize(
+    ("at", "mass", "com", "points", "unwatched"),
+    [
+        (0.3, 0.0, 0.0, (), ()),
+        (0.3, 0.01, 0.15, (), ("tool",)),
+        (0.45, 0.0, 0.0, (), ()),  # the tip
+        (0.45, 0.0, 0.0, ("tool2", "whole_arm"), ()),
+        (-0.25, 0.0, 0.0, (), ("tool",)),
+    ],
+)
+def test_link_without_geometry_far_outside_that_of_its_joint_is_not_watched(
+    arm: Path, at: float, mass: float, com: float, points: tuple[str, ...], unwatched: tuple[str, ...]
+) -> None:
+    inertia = '<inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/>'
+    inertial = f'<inertial><mass value="{mass}"/><origin xyz="0 0 {com}"/>{inertia}</inertial>' if mass else ""
+    parts = f'<link name="tool">{inertial}</link><link name="tool2"/>'
+    parts += JOINT.format(name="mount", kind="fixed", parent="forearm", child="tool", at=at)
+    parts += JOINT.format(name="mount2", kind="fixed", parent="tool", child="tool2", at=0.0)
+    arm.write_text(arm.read_text(encoding="utf-8").replace("</robot>", f"{parts}</robot>"), encoding="utf-8")
+    settings = MonitorSettings(contact_points=points)
+    robot = load_robot(arm, settings)
+    assert set(unwatched) <= set(robot.unwatched)
+    assert bool(robot.unwatched) == bool(unwatched)
+
+
+def test_hulls_of_fingers_contain_them_over_their_range(arm: Path) -> None:
+    box = BOX.format(kind="collision", at="0 0 0", size="0.02 0.02 0.02")
+    fingers = "".join(f'<link name="{name}"><inertial>{{}}</inertial>{box}</link>' for name in ("left", "right"))
+    inertial = '<mass value="0.02"/><inertia ixx="1e-5" iyy="1e-5" izz="1e-5" ixy="0" ixz="0" iyz="0"/>'
+    joints = JOINT.format(name="drive", kind="prismatic", parent="flange", child="left", at=0.05)
+    mimic = '<mimic joint="drive" multiplier="-2" offset="0.01"/></joint>'
+    turn = JOINT.format(name="turn", kind="prismatic", parent="flange", child="right", at=0.05)
+    joints = (joints + turn.replace("</joint>", mimic)).replace('"0 0 1"', '"0 1 0"')
+    joints = joints.replace('lower="-3" upper="3"', 'lower="0" upper="0.04"')
+    text = arm.read_text(encoding="utf-8")
+    arm.write_text(text.replace("</robot>", fingers.format(inertial, inertial) + joints + "</robot>"))
+    robot = load_robot(arm)
+    assert [joint.is_harmless for joint in robot.held] == [True, True]
+    spans = {name: (robot.hulls[name].min(axis=0)[1], robot.hulls[name].max(axis=0)[1]) for name in ("left", "right")}
+    assert spans["left"] == pytest.approx((-0.01, 0.05), abs=1e-5)
+    assert spans["right"] == pytest.approx((-0.08, 0.02), abs=1e-5)
+    assert np.ptp(robot.hulls["upper_arm"], axis=0) == pytest.approx([0.3, 0.1, 0.1])
 
 
 def test_geometry_in_millimetres_is_refused(arm: Path) -> None:
@@ -117,7 +161,7 @@ def test_contact_links_without_a_link_are_refused(arm: Path, is_urdf: bool) -> N
 def test_a_urdf_is_watched_as_a_whole_unless_points_or_a_normal_are_stated(arm: Path) -> None:
     settings = MonitorSettings()
     robot = load_robot(arm, settings)
-    assert RobotDynamics(robot).contact_points == ("camera", "upper_arm", "forearm")
+    assert RobotDynamics(robot).contact_points == ("flange", "upper_arm", "forearm", "camera")
     assert {*robot.hulls} == {"camera", "upper_arm", "forearm"}
     assert Assumption.CONTACT_POINTS not in assumptions_of(robot, settings).assumed
     assert not load_robot(arm, MonitorSettings(contact_points=("flange",))).hulls
@@ -140,7 +184,7 @@ def test_without_a_mesh_only_the_tip_is_watched_which_is_an_assumption(arm: Path
     arm.write_text(text, encoding="utf-8")
     settings = MonitorSettings()
     robot = load_robot(arm, settings)
-    assert RobotDynamics(robot).contact_points == ("camera",)
+    assert RobotDynamics(robot).contact_points == ("flange",)
     assert not robot.hulls
     rule = (
         "must be a file that can be read: name the folder of its package, or one above, by package_dirs (--package-dir)"
@@ -174,7 +218,7 @@ def test_a_robot_without_geometry_keeps_its_points_and_says_so(arm: Path) -> Non
         text = text.replace(f"<{kind}>", "<!--").replace(f"</{kind}>", "-->")
     arm.write_text(text, encoding="utf-8")
     robot = load_robot(arm, MonitorSettings(contact_points=("whole_arm",)))
-    assert RobotDynamics(robot).contact_points == ("camera",)
+    assert RobotDynamics(robot).contact_points == ("flange",)
     assert "no link has geometry: only the contact points are watched" in robot.notes
 
 
