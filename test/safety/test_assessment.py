@@ -923,3 +923,26 @@ def test_force_is_finite_where_the_acceleration_leaves_no_speed(
     for contact in monitor.assess_configurations(q, qd, qdd).decision(0).contacts:
         assert (contact.verdict, contact.allowable_speed) == (Verdict.VIOLATION, 0.0)
         assert 140.0 < contact.force_bound < math.inf
+
+
+@pytest.mark.parametrize(
+    ("shown", "errors", "qdd", "counted"),
+    [
+        ((4.0, -4.0, 0.0, 5.0), 0.0, 0.0, 5.0),
+        ((4.0, -4.5, 0.0, 1.0), 0.5, 0.0, 5.0),
+        ((4.0, -4.5, 5.5, 4.75), 1.0, (0.0, -4.5, 5.5, 4.75), (5.0, 1.0, 1.0, 1.0)),
+    ],
+    ids=["covered", "covered_with_its_error", "exceeded_by_some"],
+)
+def test_stated_acceleration_of_a_joint_counts_both_ways_unless_it_shows_a_larger_one(
+    scara: RobotDynamics, shown: Vector, errors: float, qdd: float | Vector, counted: float | Vector
+) -> None:
+    def numbers(motion: tuple[float | Vector, float | Vector], *stated: str) -> bytes:
+        monitor, q = Monitor(scara, settings_of(max_joint_acceleration=stated)), np.array([[0.3, 1.2, 0.1, 0.2]])
+        pending = monitor.admit(JOINTS, np.array([NOW]), np.array([NOW]), q, np.full((1, 4), 0.1))
+        assert pending is not None
+        pending.motions[:, 3], pending.motions[:, 4] = motion
+        monitor.compute(pending)
+        return pending.numbers.tobytes()
+
+    assert numbers((shown, errors), *(f"{joint}=5" for joint in JOINTS)) == numbers((qdd, counted))
