@@ -194,6 +194,29 @@ def test_state_without_age_counts_with_the_factor_sent_at_that_time() -> None:
     assert math.isclose(scaler.factor(now_ns), 0.4, rel_tol=1e-12)
 
 
+@pytest.mark.parametrize("age_ns", [0, -15 * PERIOD_NS])
+def test_state_whose_stamp_leads_the_clock_counts_as_measured_now(age_ns: int) -> None:
+    """Not later, when the present factor alone will be in force: it would rise above what is allowed."""
+    latency_ns = 10 * PERIOD_NS
+    scaler, now_ns = released(rise_rate=1e6, latency_ns=latency_ns)
+    scaler.take(state(1.0, 0.2), now_ns)
+    assert math.isclose(scaler.factor(now_ns), 0.2)
+    now_ns += 2 * latency_ns
+    scaler.take(state(0.2, 0.4), now_ns)
+    assert math.isclose(scaler.factor(now_ns), 0.4)
+    now_ns += PERIOD_NS
+    scaler.take(state(0.2, 0.3), now_ns, age_ns)  # at 0.2 or at 0.4
+    assert math.isclose(scaler.factor(now_ns), 0.4)
+
+
+def test_noise_of_a_robot_at_rest_does_not_keep_the_factor_at_0() -> None:
+    scaler, now_ns = released()
+    scaler.stop("deadline of contact_states missed")
+    scaler.factor(now_ns)
+    scaler.take(state(1e-4, 0.3, at_rest=True), now_ns + PERIOD_NS)
+    assert scaler.factor(now_ns + 2 * PERIOD_NS) > 0.0
+
+
 def test_factors_are_kept_for_the_oldest_state_that_counts() -> None:
     """It was measured a timeout ago, with the factor of a latency before that."""
     latency_ns = 10 * PERIOD_NS
