@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from scara_effmass.codes import Reason
@@ -20,6 +20,7 @@ from scara_effmass.model.load import load_robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.safety.assessments import Assessments
+from scara_effmass.safety.load_watch import Doubt
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import FloatArray, JointState, Verdict
 
@@ -99,6 +100,13 @@ def test_unstated_load_is_found_and_named() -> None:
     assert contact.allowable_speed == 0.0
     assert contact.reason.startswith("the torques show a load of ")
     assert "not the stated 0.00 kg" in contact.reason
+
+
+def test_clock_that_jumps_back_ends_what_is_known_of_the_load() -> None:
+    watcher = monitor()
+    assert Reason.UNSTATED_LOAD in codes(watcher, motion(2.0))
+    watcher.clear_history()
+    assert (watcher.load_watch.estimate, watcher.load_watch.doubt) == (None, Doubt())
 
 
 def test_stated_load_is_no_doubt() -> None:
@@ -207,8 +215,10 @@ def test_bad_torque_constants_are_refused(entry: str) -> None:
 
 
 @settings(max_examples=5, deadline=None)
+@example(list(range(400, 420)))
 @given(st.lists(st.integers(1, int(RATE_HZ * SECONDS) - 1), max_size=8, unique=True))
 def test_batches_do_not_matter(cuts: list[int]) -> None:
+    """In the example, joint states come one by one while the load is in doubt, as they do live."""
     states = motion(1.5)
     whole, parts = monitor(), monitor()
     expected = assessed(whole, states, 0, len(states.stamps))
