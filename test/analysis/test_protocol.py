@@ -114,6 +114,23 @@ def test_the_verdict_needs_a_distance_of_the_uncertainty_from_the_limit(
     assert evaluation.converted is False
 
 
+@pytest.mark.parametrize(
+    ("field", "values", "part"),
+    [
+        ("transient_peak_n", (98.0, 100.0, 102.0), 2.0 * 2.0 / 100.0),
+        ("duration_s", (0.01, 0.0005, 0.02), 2.0 * (1.0 - np.cos(np.pi / 10.0)) / np.sqrt(3.0)),
+    ],
+    ids=["twice_the_deviation_of_the_peaks", "loss_between_samples_of_the_shortest_contact"],
+)
+def test_the_contacts_add_to_the_uncertainty_of_the_device(
+    field: str, values: tuple[float, ...], part: float, folder: Path
+) -> None:
+    protocol = content()
+    for item, value in zip(protocol["tests"][0]["results"]["repetitions"], values, strict=True):
+        item[field] = value
+    assert result(protocol, folder).uncertainty == pytest.approx(np.hypot(np.hypot(0.03, 0.02), part), rel=1e-3)
+
+
 def test_the_held_force_has_the_quasi_static_limit(folder: Path) -> None:
     values = content()
     values["tests"][0]["results"]["repetitions"][1]["force_beyond_0_5_s_n"] = 141.0
