@@ -10,6 +10,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from scara_effmass.analysis.advice import Advice, Motion, advise
+from scara_effmass.codes import Reason
 from scara_effmass.errors import BagError
 from scara_effmass.model.load import load_robot
 from scara_effmass.reference import RobotDynamics
@@ -88,6 +89,20 @@ def test_advised_motion_has_no_violation(
 def test_ok_motion_has_no_warn(dynamics: RobotDynamics, motion: Motion) -> None:
     judge = Judge(dynamics)
     assert verdicts(judge(judge.advise(motion, worst=Verdict.OK).states)) <= {Verdict.OK, Verdict.UNKNOWN}
+
+
+def test_ok_motion_has_no_warn_for_another_reason_than_its_speed(dynamics: RobotDynamics) -> None:
+    """Joint 4 turns on the spot, and by its acceleration too far until the peak of a contact with the abdomen."""
+    rest, time = np.zeros((RATE_HZ // 2, 4)), np.arange(2 * RATE_HZ)[:, np.newaxis] / RATE_HZ
+    q, qd = np.zeros((len(time), 4)), np.zeros((len(time), 4))
+    q[:, 3:], qd[:, 3:] = 0.2 * (1.0 - np.cos(10.0 * time)), 2.0 * np.sin(10.0 * time)
+    motion = Motion(joint_states(np.concatenate((rest, q)), np.concatenate((rest, qd))), "turn")
+    judge = Judge(dynamics, SETTINGS.model_copy(update={"body_regions": ("abdomen",)}))
+    reasons = {contact.reason_code for decision in judge(motion.states) for contact in decision.contacts}
+    assert {Reason.TURNS} == reasons - {Reason.NONE, Reason.UNCONFIRMED_ZERO}
+    advice = judge.advise(motion, count=1, worst=Verdict.OK)
+    assert 0.5 < advice.factors[0] < 1.0
+    assert verdicts(judge(advice.states)) <= {Verdict.OK, Verdict.UNKNOWN}
 
 
 def test_no_segment_is_slower_than_needed(
