@@ -91,6 +91,7 @@ def test_state_at_rest_has_no_direction_and_an_invalid_one_does_not_count(dynami
     coverage = counted(dynamics, [])
     state = JointState(1, JOINTS, np.zeros(4), np.zeros(4))
     coverage.add(state, contacts(mass=0.0))
+    coverage.add(state, [*contacts()[:1], *contacts(mass=0.0)[1:]])
     assert coverage.joint_states == 0
     coverage.add(state, contacts())
     assert coverage.joint_states == coverage.counts["speed tool"][0] == 1
