@@ -467,6 +467,18 @@ def test_one_sample_is_no_wrong_sign() -> None:
     assert not validator.result().force_sign
 
 
+def test_joined_series_keeps_what_its_recordings_state(campaign: Cell) -> None:
+    series, recording = Validator(ValidatorSettings()), Validator(ValidatorSettings())
+    for state in (*campaign.states[:3], campaign.states[1]):
+        recording.add_decision(*state)
+    recording.add_force(block([0.0, -11.0, -11.0])._replace(relative_uncertainty=0.03), 0)
+    recording.begin_recording()
+    series.extend(recording)
+    result = series.result()
+    assert result.force_sign.startswith("force goes to -11 N")
+    assert (result.late_states, result.gain_tolerance) == (1, 0.03)
+
+
 def test_every_impact_states_a_problem_of_the_series(campaign: Cell) -> None:
     validator = Validator(ValidatorSettings(obstacle_mass=2.0))
     validator.add_force(block([-100.0, -100.0]), 0)
