@@ -254,6 +254,13 @@ def test_samples_marked_by_the_source_are_saturated() -> None:
     assert [block.saturated_samples.tolist() for (block,) in blocks] == [[1], []]
 
 
+def test_samples_beyond_the_range_are_saturated_beside_those_marked_by_the_source() -> None:
+    marks = np.array([[False, True, False, False]])
+    force = signal({"sensor.range": 100.0}, StartedSource(limit=500.0))
+    block = only_block(force.blocks(reading([1.0, 1.0, 101.0, 1.0], saturated=marks)))
+    assert block.saturated_samples.tolist() == [1, 2]
+
+
 @given(st.sets(st.integers(0, 399), max_size=4), st.lists(st.integers(1, 399), max_size=6))
 def test_outputs_influenced_by_a_saturated_sample_are_marked(at: set[int], cuts: list[int]) -> None:
     settings: dict[str, object] = {"filter.kind": "zero_phase", "filter.cutoff": 100.0}
