@@ -192,6 +192,12 @@ class TestInJointStatesOfTheirOwn:
         monitor.reset()  # the device was taken away
         assert self.reason(monitor, 5110) == ""
 
+    def test_device_that_was_seen_before_the_clock_went_back_is_silent(self, scara: RobotDynamics) -> None:
+        monitor = monitor_of(scara)
+        self.feed(monitor, 3000, 0.5, 0.0)
+        assert "it is silent" in self.reason(monitor, 1499)
+        assert self.reason(monitor, 1500) == ""
+
     def test_timeout_above_that_time_counts_for_other_devices_too(self, scara: RobotDynamics) -> None:
         monitor = monitor_of(scara, timeout=2.0)
         self.feed(monitor, 0, 0.5, 0.0)
