@@ -386,7 +386,7 @@ def test_contact_state_with_an_invalid_value_is_unknown_without_numbers(fields: 
     assert (decision.verdict, decision.allowable_speed, decision.speed_scaling) == (Verdict.UNKNOWN, 0.0, 0.0)
 
 
-@pytest.mark.parametrize("verdict", [Verdict.UNKNOWN, Verdict.VIOLATION, 77])
+@pytest.mark.parametrize("verdict", [Verdict.UNKNOWN, Verdict.WARN, Verdict.VIOLATION, 77])
 def test_message_that_is_worse_than_its_contacts_is_unknown(verdict: int) -> None:
     contact = msg.ContactState(contact_point="tool", verdict=Verdict.OK, allowable_speed=5.0)
     message = msg.ContactStates(verdict=verdict, contacts=[contact], allowable_speed=5.0, speed_scaling=1.0)
