@@ -4,7 +4,7 @@
 import re
 from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -14,11 +14,12 @@ from hypothesis import strategies as st
 
 from scara_effmass.codes import Reason
 from scara_effmass.errors import RobotError
+from scara_effmass.identification.payload import PayloadEstimate, PayloadEstimator
 from scara_effmass.kernel.records import IntArray
 from scara_effmass.kernel.state import CODE
 from scara_effmass.model.load import load_robot
 from scara_effmass.reference import RobotDynamics
-from scara_effmass.safety import Monitor
+from scara_effmass.safety import Monitor, load_watch
 from scara_effmass.safety.assessments import Assessments
 from scara_effmass.safety.load_watch import Doubt
 from scara_effmass.settings import MonitorSettings
@@ -161,6 +162,31 @@ def test_motion_that_shows_nothing_ends_no_doubt(joint: int) -> None:
     for part in range(4, 7):
         last = codes(watcher, after(motion(0.0), part * SECONDS))
     assert not {Reason.UNSTATED_LOAD, Reason.HEAVIER_LOAD} & last
+
+
+@pytest.mark.parametrize(
+    ("first_gain", "gain", "changes"),
+    [
+        (3.0, 1.05, {"mass": 1.0, "is_observable": False}),
+        (1.05, 0.9, {"mass": 0.0, "is_observable": False}),
+        (3.0, 0.9, {"mass": 0.0, "unfit": "the effort of elbow_joint is 0 while it moves"}),
+    ],
+    ids=["less heavy", "lighter", "unfit"],
+)
+def test_estimate_that_tells_nothing_weakens_no_doubt(
+    monkeypatch: pytest.MonkeyPatch, first_gain: float, gain: float, changes: dict[str, Any]
+) -> None:
+    """Of the load that it states, it would: the motion does not show it, or the torques do not fit."""
+    nothing = np.zeros((6, 2))
+    first = PayloadEstimate(1, 2.0, 0.05, 0.0, np.zeros(3), np.full(3, 0.001), True, "", "", nothing, nothing[:, 0])  # noqa: FBT003
+    then = first._replace(moment=np.array([0.5, 0.0, 0.0]), **changes)
+    found = iter([first, then])
+    monkeypatch.setattr(PayloadEstimator, "add", lambda *_: next(found, None))
+    monkeypatch.setattr(load_watch, "mass_gain", lambda _, load, __: gain if load < first.mass else first_gain)
+    watcher = monitor(mass_uncertainty=0.1)
+    codes(watcher, motion(0.0))
+    assert watcher.load_watch.estimate is then
+    assert watcher.load_watch.doubt.reason is (Reason.UNSTATED_LOAD if first_gain > 1.1 else Reason.HEAVIER_LOAD)
 
 
 def test_stated_mass_at_another_place_is_told() -> None:

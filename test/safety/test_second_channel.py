@@ -189,6 +189,7 @@ def test_kernel_that_disagrees_when_compiled_is_not_used(
     [
         ("allowable_speed", lambda value: value * (1.0 + 1e-6)),
         ("full_mass", lambda _: math.nan),
+        ("force_bound", lambda value: 0.5 * value),
         ("verdict", lambda value: 3.0 if value == 1.0 else 1.0),
         ("body_region", lambda value: value - 1.0),
     ],
