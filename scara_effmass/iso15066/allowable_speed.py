@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from scara_effmass.errors import LimitError
 from scara_effmass.iso15066.contact import amplification, contact_time
@@ -29,6 +29,7 @@ class SpeedLimit:
     `reduced_mass` [kg] is that of the bound, drives included. `push` [N] is the force of the drives, 0 unless their
     effort limits give the tighter bound. `stiffness` [N/m] includes its uncertainty. `growth` [s/m] covers the change
     of pose during the contact and `gain` [m/s] the acceleration: the speed v counts as v (1 + growth v) + gain.
+    `others` are limits that hold as well, whose force may be larger at lower speeds.
     """
 
     allowable_speed: float
@@ -38,6 +39,7 @@ class SpeedLimit:
     push: float = 0.0
     growth: float = 0.0
     gain: float = 0.0
+    others: tuple[SpeedLimit, ...] = field(default=(), compare=False)
 
     @property
     def criterion(self) -> Criterion:
@@ -48,12 +50,18 @@ class SpeedLimit:
         """Return the bound P + sqrt(P^2 + k mu u^2) of the peak force [N] at `speed` v [m/s], which counts as u.
 
         P is `push`, a constant force of the drives against the contact; without one this is u sqrt(mu k).
-        mu is at most `max_mass` [kg]; a larger one is that of a singular pose, and has no known growth.
+        mu is at most `max_mass` [kg]; a larger one is that of a singular pose, and has no known growth. With `others`
+        it is the largest of all.
         """
+        root = self._root(speed, max_mass)
+        own = self.push + math.sqrt(self.push * self.push + self.stiffness * root * root)
+        return max(own, *(other.force(speed, max_mass) for other in self.others)) if self.others else own
+
+    def _root(self, speed: float, max_mass: float) -> float:
+        """Return the force over sqrt(k) without the push [m/s sqrt(kg)]."""
         if self.reduced_mass < max_mass:
             speed = speed * (1.0 + self.growth * speed) + self.gain
-        energy = self.stiffness * min(self.reduced_mass, max_mass) * speed * speed
-        return self.push + math.sqrt(self.push * self.push + energy)
+        return speed * math.sqrt(min(self.reduced_mass, max_mass))
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,8 +17,8 @@ from scara_effmass.values import FloatArray
 
 MAX_MOBILITY = 20.0
 """Mobility 1/m_n [1/kg] up to which servo contacts are simulated; above it that of an immovable robot bounds them."""
-_MOBILITIES = np.geomspace(0.01, MAX_MOBILITY, 48)
-_TOUCHING = (0.005, 0.1, 0.5, 2.0, 8.0)
+_MOBILITIES = np.geomspace(1e-4, MAX_MOBILITY, 78)
+_TOUCHING = (1e-3, 0.1, 0.5, 2.0, 8.0)
 """Mobilities [1/kg] between the simulated ones, at which a line of a hull is kept; each line is a bound by itself."""
 _STEP = 0.1
 """Time step of the simulation, times the larger of the angular frequencies of contact and servo."""

@@ -37,7 +37,7 @@ from scara_effmass.kernel.mobility import (
     trace,
 )
 from scara_effmass.kernel.model_choice import Choice, choose_models, largest_along, mass_along, worst_mass
-from scara_effmass.kernel.person import person_of, set_principal, set_single
+from scara_effmass.kernel.person import Person, person_of, set_principal, set_single
 from scara_effmass.kernel.pose_change import assign, assign_symmetric, turn_change
 from scara_effmass.kernel.reasons import set_reason
 from scara_effmass.kernel.records import (
@@ -58,7 +58,14 @@ from scara_effmass.kernel.records import (
     Work,
 )
 from scara_effmass.kernel.spatial import dot, matrix_at, rotate_back, sub, vector, vector_at
-from scara_effmass.kernel.speed_limit import Bound, Drives, governing_case, governing_person_case, likely_case
+from scara_effmass.kernel.speed_limit import (
+    Bound,
+    Drives,
+    bound_within,
+    governing_case,
+    governing_person_case,
+    likely_case,
+)
 from scara_effmass.kernel.state import STATE, VALUES
 from scara_effmass.kernel.static_force import clamping_force, holding_force
 from scara_effmass.values import NO_MOBILITY, ZERO_VECTOR, FloatArray, Mobility6, Vector3, Verdict
@@ -204,11 +211,11 @@ def fill_limits(
     if setup.joints_are_coupled:
         max_force = holding_force(approach, cases, work.mobilities[:models], setup, work)
     start = likely_case(cases, worst)
+    person = person_of(approach, setup)
     if setup.counts_person:
         fill_principals(models - 1 if choice.takes.iso else -1, count, approach, setup, work)
         has_push = setup.is_servo and approach.rank == 3  # where the point does not move, drives have no least mobility
         drives = Drives(acceleration, min_mobility, max_force, has_push)
-        person = person_of(approach, setup)
         governing, bound = governing_person_case(cases, start, work.mobilities[:count], drives, setup, work, person)
     else:
         drives = Drives(acceleration, min_mobility, max_force, setup.is_servo)
@@ -232,7 +239,9 @@ def fill_limits(
         _PRESSURE if case.is_pressure else _FORCE,
         model + 1,
     )
-    set_verdict(contact, case, cases[point.weakest], bound, mass, approach, setup, work)
+    set_verdict(
+        contact, case, cases[point.weakest], bound, work.mobilities[:count], person, mass, approach, setup, work
+    )
 
 
 @inlined
@@ -244,6 +253,28 @@ def force_of(bound: Bound, case: Case, hit: float, setup: Setup) -> float:
             hit = hit * (1.0 + bound.growth * hit) + bound.gain
         energy = min(bound.reduced_mass, setup.mass_cap) * hit * hit
     return setup.amplification * (bound.push + math.sqrt(bound.push * bound.push + case.stiffness * energy))
+
+
+@inlined
+def largest_force(
+    bound: Bound,
+    case: Case,
+    mobilities: Sequence[Mobility],
+    person: Person,
+    hit: float,
+    setup: Setup,
+    work: Work,
+) -> float:
+    """Return the largest bound of the force [N] of all mobilities at the speed `hit`: another may allow the least."""
+    force = force_of(bound, case, hit, setup)
+    for k in range(len(mobilities)):
+        elastic = force / setup.amplification
+        square = elastic * (elastic - 2.0 * bound.push)
+        rate = case.stiffness / square if square > 0.0 else math.inf
+        other = bound_within(rate, bound.push > 0.0, case, mobilities[k], k, hit, person, setup, work)
+        other = Bound(0.0, other.reduced_mass, other.growth, bound.push, other.root, other.gain)
+        force = max(force, force_of(other, case, hit, setup))
+    return force
 
 
 @inlined
@@ -271,6 +302,8 @@ def set_verdict(
     case: Case,
     weakest: Case,
     bound: Bound,
+    mobilities: Sequence[Mobility],
+    person: Person,
     mass: float,
     approach: Approach,
     setup: Setup,
@@ -282,7 +315,8 @@ def set_verdict(
     """
     share = person_share(approach, setup, work)
     closing_speed = setup.person_speed * share + setup.speed_uncertainty + approach.tolerance
-    contact.force_bound = force_of(bound, case, approach.speed * approach.share + closing_speed, setup)
+    hit = approach.speed * approach.share + closing_speed
+    contact.force_bound = largest_force(bound, case, mobilities, person, hit, setup, work)
     nominal_speed = (bound.speed - closing_speed) / approach.share
     contact.allowable_speed = max(0.0, nominal_speed)
     turn = farthest_turn(contact, case, approach)
@@ -410,7 +444,7 @@ def assess_states(
 ) -> None:
     """Write in `numbers` (N, P, fields) the contacts of P points at the admitted ones of N joint states.
 
-    `rows` are the bytes of their States, `motions` (N, 5, n) q, qd, tolerances of qd, qdd and its errors;
+    `rows` are the bytes of their States, `motions` (N, 6, n) q, qd, tolerances of qd, qdd, its errors, replaced qdd;
     `robot`, `at` and `limits` are the bytes of Setup, Points and the Cases of each: numba recognizes records slowly at
     a call. `scratch` holds one Work: numba frees an array made here while its record is in use.
     """

@@ -198,8 +198,14 @@ def with_growth(meeting: Meeting, p: Principal, mass_factor: float, beta: float,
 
 
 @inlined
+def mass_up_to(mobility: float, largest: float) -> float:
+    """Return the mass of a mobility, at most `largest`."""
+    return min(1.0 / mobility, largest) if mobility > 0.0 else largest
+
+
+@inlined
 def acceleration_root(
-    k: Vector3, heaviest: float, p: Principal, alpha: float, beta_per_mass: float, time: float
+    k: Vector3, heaviest: float, p: Principal, alpha: float, beta_per_mass: float, time: float, max_mass: float
 ) -> float:
     """Return what the acceleration across n, and its error, add within `time` to the peak force over sqrt(k)."""
     if not p.changes:
@@ -208,15 +214,9 @@ def acceleration_root(
     root = math.sqrt(k[0] * a[0] * a[0] + k[1] * a[1] * a[1] + k[2] * a[2] * a[2])
     root *= lasting_time(time, p.speed, p.speed_rate)
     if p.error > 0.0:
-        error = math.sqrt(1.0 / (alpha + beta_per_mass * p.least_mobility)) * p.error
+        error = math.sqrt(mass_up_to(alpha + beta_per_mass * p.least_mobility, max_mass)) * p.error
         root += time * (min(error, p.error_root / math.sqrt(beta_per_mass)) if beta_per_mass > 0.0 else error)
     return root
-
-
-@inlined
-def mass_up_to(mobility: float, largest: float) -> float:
-    """Return the mass of a mobility, at most `largest`."""
-    return min(1.0 / mobility, largest) if mobility > 0.0 else largest
 
 
 @inlined
@@ -236,7 +236,7 @@ def meeting_of(
         if person.accelerates:
             lasting = acceleration_time(case, time)
             gain = lasting * max(0.0, p.speed_rate)
-            root_gain = acceleration_root((x, y, z), heaviest, p, alpha, beta_per_mass, lasting)
+            root_gain = acceleration_root((x, y, z), heaviest, p, alpha, beta_per_mass, lasting, max_mass)
     meeting = Meeting(
         (x, y, z),
         heaviest,

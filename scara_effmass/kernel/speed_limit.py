@@ -375,6 +375,12 @@ def person_case_bound(
 
 
 @inlined
+def without_acceleration(person: Person) -> Person:
+    """Return the person who meets free joints: the push of the drives contains what accelerates them."""
+    return Person(person.has_direction, person.speed, person.robot_speed, accelerates=False)
+
+
+@inlined
 def person_push_bound(
     case: Case, mobilities: Sequence[Mobility], drives: Drives, setup: Setup, work: Work, person: Person, least: float
 ) -> Bound:
@@ -383,7 +389,7 @@ def person_push_bound(
     rest = case.force * (case.force - 2.0 * force)
     if not rest > 0.0:
         return Bound(-person.speed if force < math.inf else -math.inf, 0.0, 0.0, force, 0.0, 0.0)
-    slowest, person = NO_BOUND, Person(person.has_direction, person.speed, person.robot_speed, accelerates=False)
+    slowest, person = NO_BOUND, without_acceleration(person)
     for k in range(len(mobilities)):
         rate, line = case.stiffness / rest, (case.obstacle_mobility, 1.0)
         bound = person_line_bound(case, work.principals[k], mobilities[k], setup, line, rate, person, least)
@@ -419,3 +425,29 @@ def governing_person_case(
         if bound.speed < slowest.speed or is_first:
             governing, slowest = i, bound
     return governing, slowest
+
+
+@inlined
+def bound_within(
+    rate: float,
+    is_pushed: bool,  # noqa: FBT001 - compiled
+    case: Case,
+    m: Mobility,
+    k: int,
+    speed: float,
+    person: Person,
+    setup: Setup,
+    work: Work,
+) -> Bound:
+    """Return the bound of mobility `k`, of free joints if `is_pushed`; none if it keeps `rate` at `speed` anyway."""
+    if setup.counts_person:
+        p, robot_speed = work.principals[k], person.robot_speed
+        if is_pushed:
+            line, pushed = (case.obstacle_mobility, 1.0), without_acceleration(person)
+            return person_line_bound(case, p, m, setup, line, rate, pushed, robot_speed)
+        return person_case_bound(case, p, m, setup, rate, person, robot_speed)
+    if is_pushed:
+        return free_bound(case, m, setup.mass_factor, rate, speed)
+    if is_no_slower(case, m, k, rate, speed, work):
+        return NO_BOUND
+    return case_bound(case, m, setup.mass_factor, rate, speed)

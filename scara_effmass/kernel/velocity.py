@@ -31,7 +31,7 @@ class VelocityWindow:
         self._stamps, self._samples = self._stamps[:0], self._samples[:0]
 
     def apply(self, stamps: IntArray, motions: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """Write the filtered velocities in `motions` (N, 5, n), and the change of qd within its delay.
+        """Write the filtered velocities in `motions` (N, 6, n), and the change of qd within its delay.
 
         Returns the delays (N,) [s] and whether there is a velocity (N,): one position alone has none.
         """

@@ -118,11 +118,15 @@ def assess(
 
 
 class JointAcceleration(NamedTuple):
-    """Joint accelerations (n,) [rad/s2, m/s2], bounds of their errors (n,), and `age` [s] of the joint state."""
+    """Joint accelerations (n,) [rad/s2, m/s2], bounds of their errors (n,), and `age` [s] of the joint state.
+
+    `shown` (n,) are those of the joint states, also where a stated one counts in their place; None: the same.
+    """
 
     qdd: FloatArray
     errors: FloatArray
     age: float = 0.0
+    shown: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -173,7 +177,7 @@ class ContactAssessor:
 
         A stated limit that is larger than what the joint states show counts in its place, in any direction.
         """
-        qdd, errors, _ = self.joint_acceleration
+        qdd, errors, *_ = self.joint_acceleration
         shown, held = self.contact.jacobian @ qdd, self.contact.jacobian_rate @ self.state.qd
         error, size = self.contact.speed_tolerance(errors.tolist()), float(np.linalg.norm(shown))
         limit, none = self.settings.max_acceleration, np.zeros(3)
@@ -445,7 +449,8 @@ class ContactAssessor:
             result.verdict, result.reason = Verdict.VIOLATION, Reason.TOO_FAST
         elif speed > settings.warn_ratio * nominal_speed:
             result.verdict, result.reason = Verdict.WARN, Reason.NEAR_LIMIT
-        accelerations = np.abs(self.joint_acceleration.qdd) * self.contact.is_moved_by
+        qdd, _, _, shown = self.joint_acceleration
+        accelerations = np.abs(qdd if shown is None else shown) * self.contact.is_moved_by
         mass_on_spring = result.body_mass or result.worst_normal_reduced_mass
         turn = turn_until_peak(float(np.max(accelerations)), mass_on_spring, result.stiffness)
         if not result.reason and turn > MAX_TURN:

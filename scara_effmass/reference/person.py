@@ -106,13 +106,16 @@ class PersonContact:
         )
         if math.isinf(max(found.masses)):
             return found
-        found = found.accelerating(mobility, line, axes, case.acceleration_time(max(found.masses)))
+        time = case.acceleration_time(max(found.masses))
+        found = found.accelerating(mobility, line, axes, time, max_mass)
         if mobility.change is None:
             return found
         time = case.contact_time(max(found.masses))
         return replace(found, growth=_growth(mobility.change, beta, axes, masses, n, towards, person.speed, time))
 
-    def accelerating(self, mobility: Mobility, line: Line, axes: FloatArray, time: float) -> PersonContact:
+    def accelerating(
+        self, mobility: Mobility, line: Line, axes: FloatArray, time: float, max_mass: float
+    ) -> PersonContact:
         """Return the contact of a robot that accelerates for `time` [s], K diagonal along `axes`."""
         a, n = mobility.acceleration, mobility.direction
         across, lasting = 0.0, time
@@ -120,7 +123,7 @@ class PersonContact:
             rest = axes.T @ (a.shown - float(n @ a.shown) * n)
             across = math.sqrt(float(np.square(rest) @ self.masses))
             lasting = lasting_time(time, mobility.change.speed, a.along(n))
-            error = mobility.error_root(*line)
+            error = min(mobility.error_root(*line), math.sqrt(max_mass) * a.error) if a.error else 0.0
         else:
             error = math.sqrt(max(self.masses)) * a.error
         return replace(self, gain=time * max(0.0, a.along(n)), root_gain=lasting * across + time * error)
@@ -239,10 +242,9 @@ class PersonSpeedLimit(SpeedLimit):
     person: MovingPerson
     ratio: float
 
-    def force(self, speed: float, max_mass: float = math.inf) -> float:
-        """Return the bound of the peak force [N] at the `speed` [m/s] of the contact point."""
-        root = self.ratio * PersonContact.of(self.case, self.mobility, self.line, self.person, max_mass).root(speed)
-        return self.push + math.sqrt(self.push**2 + self.stiffness * root**2)
+    def _root(self, speed: float, max_mass: float) -> float:
+        """Return the force over sqrt(k) without the push at the `speed` [m/s] of the contact point."""
+        return self.ratio * PersonContact.of(self.case, self.mobility, self.line, self.person, max_mass).root(speed)
 
 
 def person_speed_limit(

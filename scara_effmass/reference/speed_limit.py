@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 
-from scara_effmass.iso15066.allowable_speed import ContactCase, SpeedLimit, max_speed
+from scara_effmass.iso15066.allowable_speed import ContactCase, SpeedLimit
 from scara_effmass.iso15066.drives import Line
 from scara_effmass.reference.hull import TIE
 from scara_effmass.reference.mobility import NO_ACCELERATION, Mobility
@@ -78,7 +78,8 @@ def _of_case(
     max_force: float,
     person: MovingPerson | None,
 ) -> SpeedLimit:
-    found = reduce(_slower, (_of_mobility(case, m, case.lines_for(m.trace), max_force, person) for m in mobilities))
+    limits = [_of_mobility(case, m, case.lines_for(m.trace), max_force, person) for m in mobilities]
+    found = replace(reduce(_slower, limits), others=tuple(limits))
     return found if push is None else max(found, _pushed(case, mobilities, push, person), key=_speed)
 
 
@@ -115,14 +116,12 @@ def _pushed(
     """
     mobilities = [replace(mobility, acceleration=NO_ACCELERATION) for mobility in mobilities]
     force = push.force(case.obstacle_mobility)
-    square = case.force * (case.force - 2.0 * force)
-    if not square > 0.0:
-        at_rest = -person.speed if person else 0.0
-        return SpeedLimit(at_rest if force < math.inf else -math.inf, case.limit, 0.0, case.stiffness, force)
-    free = ((case.obstacle_mobility, 1.0),)
-    if person is not None:
-        found = reduce(_slower, (_of_mobility(case, m, free, math.sqrt(square), person) for m in mobilities))
-        return replace(found, push=force)
-    found = reduce(_slower, (_of_mobility(case, mobility, free) for mobility in mobilities))
-    speed = max_speed(math.sqrt(square / (found.reduced_mass * case.stiffness)), found.growth)
-    return replace(found, allowable_speed=speed, push=force)
+    if force == math.inf:
+        return SpeedLimit(-math.inf, case.limit, 0.0, case.stiffness, force)
+    root = math.sqrt(max(0.0, case.force * (case.force - 2.0 * force)))
+    limits = [_of_mobility(case, m, ((case.obstacle_mobility, 1.0),), root, person) for m in mobilities]
+    limits = [replace(limit, push=force) for limit in limits]
+    found = replace(reduce(_slower, limits), others=tuple(limits))
+    if root == 0.0:
+        return replace(found, allowable_speed=-person.speed if person else 0.0)
+    return found

@@ -78,8 +78,8 @@ class Cause(NamedTuple):
 class Pending(NamedTuple):
     """N joint states between two steps of the assessment.
 
-    `records` (N,) are `State`s and `states` their bytes; `motions` (N, 5, n) are q, qd, tolerances of qd,
-    accelerations and their errors, the first two also as `q` and `qd`; `numbers` (N, P, fields) are those of
+    `records` (N,) are `State`s and `states` their bytes; `motions` (N, 6, n) are q, qd, tolerances of qd,
+    accelerations, their errors, and the accelerations that stated ones replace, the first two also as `q` and `qd`; `numbers` (N, P, fields) are those of
     the contacts, and `unknown` (fields,) those of a contact without numbers.
     """
 
@@ -492,6 +492,7 @@ class Monitor:
         if self._max_qdd is not None:
             qdd, errors = pending.motions[:, 3], pending.motions[:, 4]
             is_stated = self._max_qdd >= np.abs(qdd) + errors  # a stated one counts in both directions
+            pending.motions[:, 5] = np.where(is_stated, qdd, 0.0)
             errors[:], qdd[is_stated] = np.where(is_stated, self._max_qdd, errors), 0.0
         pending.kernel.compute(pending.states, pending.motions, pending.numbers)
 
@@ -554,7 +555,7 @@ class Monitor:
         records = np.zeros(count, STATE)
         points, joints = len(self.dynamics.contact_points), len(self._joints)
         numbers = np.empty((count, points, CONTACT.itemsize // 8))
-        motions = np.zeros((count, 5, joints))
+        motions = np.zeros((count, 6, joints))
         states, q, qd = records.view(np.uint8), motions[:, 0], motions[:, 1]
         return Pending(records, states, motions, q, qd, numbers, self._kernel, self._unknown, self._texts)
 

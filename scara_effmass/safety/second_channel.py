@@ -38,8 +38,8 @@ class ReferenceChannel:
         contacts = numbers.view(CONTACT)[..., 0][:, chosen]
         records = states.view(STATE)
         for row in np.flatnonzero(records["is_admitted"]).tolist():
-            q, qd, tolerance, qdd, errors = motions[row]
-            acceleration = JointAcceleration(qdd, errors, float(records["age"][row]))
+            q, qd, tolerance, qdd, errors, replaced = motions[row]
+            acceleration = JointAcceleration(qdd, errors, float(records["age"][row]), qdd + replaced)
             results = assess(
                 self._dynamics, self._settings, self._limits, q, qd, tolerance.tolist(), acceleration, chosen
             )
@@ -47,7 +47,7 @@ class ReferenceChannel:
                 fill(contact, result)
 
     def difference(self, motion: FloatArray, numbers: FloatArray, age: float, chosen: slice = slice(None)) -> str:
-        """Return the first field in which the `chosen` numbers (P, fields) at `motion` (5, n) differ, else empty."""
+        """Return the first field in which the `chosen` numbers (P, fields) at `motion` (6, n) differ, else empty."""
         expected = np.zeros((1, *numbers.shape))
         state = np.zeros(1, STATE)
         state["is_admitted"], state["age"] = 1, age

@@ -83,7 +83,7 @@ def settings_of(**values: object) -> MonitorSettings:
 
 
 def motions_of(dynamics: RobotDynamics, seed: int) -> FloatArray:
-    """Return q, qd, tolerances, qdd and its errors (STATES, 5, n).
+    """Return q, qd, tolerances, qdd, its errors and replaced qdd (STATES, 6, n).
 
     At rest, slow, fast, and at poses where axes align; every third does not accelerate.
     """
@@ -91,7 +91,7 @@ def motions_of(dynamics: RobotDynamics, seed: int) -> FloatArray:
     rng = np.random.default_rng(seed)
     lower = np.maximum(robot.model.lowerPositionLimit, -math.pi)
     upper = np.minimum(robot.model.upperPositionLimit, math.pi)
-    motions = np.zeros((STATES, 5, robot.model.nv))
+    motions = np.zeros((STATES, 6, robot.model.nv))
     q, qd = motions[:, 0], motions[:, 1]
     q[:] = rng.uniform(lower, upper, q.shape)
     aligned = rng.choice([0.0, math.pi / 2.0, -math.pi / 2.0], q.shape)
@@ -102,6 +102,7 @@ def motions_of(dynamics: RobotDynamics, seed: int) -> FloatArray:
     motions[:, 3] = rng.uniform(-1.0, 1.0, q.shape) * 10.0 ** rng.uniform(-2.0, 1.0, (STATES, 1))
     motions[:, 4] = rng.uniform(0.0, 0.2, q.shape)
     motions[::3, 3:] = 0.0
+    motions[::2, 5, -1] = 40.0  # beyond what the linear change of pose bears
     return motions
 
 

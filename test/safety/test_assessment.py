@@ -895,10 +895,16 @@ def test_scaling_at_rest_is_zero_if_nothing_is_allowed(scara: RobotDynamics) -> 
     assert decision.speed_scaling == 0.0
 
 
+@pytest.mark.parametrize("stated", [(), ("joint1=0.5", "joint2=0.5", "joint3=0.5", "joint4=60")])
 @pytest.mark.parametrize("use_reference", [False, True])
-def test_joint_that_turns_too_far_by_accelerating_is_named(scara: RobotDynamics, *, use_reference: bool) -> None:
-    """The quarter period of 40 kg on 10 N/mm is 0.0993 s, so that 10.1 rad/s2 turn a joint by 0.05 rad."""
-    settings = MonitorSettings(body_regions=("abdomen",))
+def test_joint_that_turns_too_far_by_accelerating_is_named(
+    scara: RobotDynamics, stated: tuple[str, ...], *, use_reference: bool
+) -> None:
+    """The quarter period of 40 kg on 10 N/mm is 0.0993 s, so that 10.1 rad/s2 turn a joint by 0.05 rad.
+
+    Also if a larger acceleration is stated.
+    """
+    settings = MonitorSettings(body_regions=("abdomen",), max_joint_acceleration=stated)
     monitor = Monitor(scara, settings, use_reference=use_reference)
     q, qd = np.array([[0.3, 1.2, 0.1, 0.2]]), np.array([[0.01, 0.01, 0.0, 0.0]])
     below, above = (

@@ -67,7 +67,7 @@ def velocities(
     names: tuple[str, ...] = JOINTS,
 ) -> tuple[FloatArray, FloatArray, float, bool]:
     """Return the filtered velocity of a joint state, its change within the delay, the delay, and if there is one."""
-    layout, motions = adapter.layout(names), np.zeros((1, 5, len(JOINTS)))
+    layout, motions = adapter.layout(names), np.zeros((1, 6, len(JOINTS)))
     assert adapter.read(layout, position, velocity, motions[:, 0], motions[:, 1]) == (Reason.NONE, (0.0, 0.0))
     filtered = adapter.filter(layout, np.array([stamp_ns]), motions)
     delays, known = (np.zeros(1), np.ones(1, bool)) if filtered is None else filtered
