@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from scara_effmass.codes import Reason
 from scara_effmass.errors import SettingsError
+from scara_effmass.model.description import HeldJoint
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.safety.joint_state_adapter import JointStateAdapter, suggested_map
@@ -306,3 +307,9 @@ def test_positions_for_a_drawing_are_those_of_the_robot_or_the_reason_why_not(
     state = JointState(NOW, names, np.array(position), np.empty(0))
     q = adapter_of(joint_map=("arm_*=joint*",)).positions(state)
     assert (q if isinstance(q, str) else q.tolist()) == expected
+
+
+def test_fixed_joint_that_continues_the_numbers_is_none_of_another_arm() -> None:
+    adapter = JointStateAdapter(JOINTS, settings_of(), held=[HeldJoint("joint5", is_harmless=False)])
+    reasons = [adapter.layout((*JOINTS, name)).reason for name in ("joint5", "joint6")]
+    assert reasons == [Reason.NONE, Reason.OTHER_ARM]
