@@ -191,6 +191,9 @@ def test_mass_gain_is_the_ratio_of_effective_masses() -> None:
     assert mass_gain(robot, 0.0 + 1e-9, np.zeros(3)) == pytest.approx(1.0, abs=1e-6)
     # The same mass elsewhere is another centre of mass of the last link.
     assert mass_gain(robot, 0.0, 0.05 * frame) > 1.0 > mass_gain(robot, -0.05, np.zeros(3))
+    # A load that is lighter than the last link leaves a part of it.
+    last = robot.model.inertias[robot.model.njoints - 1].mass
+    assert 0.0 < mass_gain(robot, -2.0 * last, np.zeros(3)) == mass_gain(robot, -0.9 * last, np.zeros(3)) < 1.0
 
 
 def test_mass_gain_counts_where_a_point_moves_in_a_plane_alone() -> None:
