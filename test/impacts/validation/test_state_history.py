@@ -273,6 +273,22 @@ def test_missing_mass_of_one_model_leaves_the_others(make_state: MakeState, miss
     assert masses == pytest.approx(expected, nan_ok=True)
 
 
+@pytest.mark.parametrize(("lumped", "auto"), [(0.89, 1.0), (0.91, 0.91)])
+def test_auto_takes_the_full_mass_where_the_lumped_one_is_lighter_by_a_tenth(
+    make_state: MakeState, lumped: float, auto: float
+) -> None:
+    states = [make_state(START + ms * MS, lumped=lumped, full=1.0) for ms in (-5, 5)]
+    assert usable(history_of(states).at(START, MS)).masses["auto"] == pytest.approx(auto)
+
+
+@pytest.mark.parametrize("verdict", [Verdict.OK, Verdict.UNKNOWN])
+def test_state_without_motion_is_a_kink_only_if_it_is_known(make_state: MakeState, verdict: Verdict) -> None:
+    moving = [make_state(START + ms * MS) for ms in (*range(-50, 0, 2), *range(20, 50, 2))]
+    still = [make_state(START + ms * MS, 0.0, STILL, verdict=verdict, reason="a gap") for ms in range(0, 20, 2)]
+    history = history_of(sorted([*moving, *still], key=lambda state: state.stamp_ns))
+    assert (history.kink(START, 0.005) is None) == (verdict is Verdict.UNKNOWN)
+
+
 def test_states_out_of_order_are_left_out(make_state: MakeState) -> None:
     states = [make_state(START + ms * MS) for ms in (-10, -5, 5)]
     history = history_of([*states, make_state(START, 9.0), make_state(START + 5 * MS, 9.0), make_state(0, 9.0)])

@@ -461,10 +461,12 @@ def test_inverted_force_is_reported(campaign: Cell, force: list[float], text: st
     assert result.reason == (text or "no impacts, at least 6 are required")
 
 
-def test_one_sample_is_no_wrong_sign() -> None:
+def test_one_sample_is_no_wrong_sign_and_hides_none() -> None:
     validator = Validator(ValidatorSettings())
     validator.add_force(block([0.1, -900.0, 0.1, 0.0]), 0)
     assert not validator.result().force_sign
+    validator.add_force(block([0.1, -312.0, -312.0, 900.0, 0.1]), 0)
+    assert validator.result().force_sign.startswith("force goes to -312 N and never above 0 N")
 
 
 def test_joined_series_keeps_what_its_recordings_state(campaign: Cell) -> None:
