@@ -79,8 +79,8 @@ class Pending(NamedTuple):
     """N joint states between two steps of the assessment.
 
     `records` (N,) are `State`s and `states` their bytes; `motions` (N, 6, n) are q, qd, tolerances of qd,
-    accelerations, their errors, and the accelerations that stated ones replace, the first two also as `q` and `qd`; `numbers` (N, P, fields) are those of
-    the contacts, and `unknown` (fields,) those of a contact without numbers.
+    accelerations, their errors, and the accelerations that stated ones replace, the first two also as `q` and `qd`;
+    `numbers` (N, P, fields) are those of the contacts, and `unknown` (fields,) those of a contact without numbers.
     """
 
     records: Records
@@ -377,8 +377,8 @@ class Monitor:
             follows = f"command number {number} follows number {last}"
             self.distrust(COMMANDS, f"a second publisher of joint commands, or a restarted one: {follows}")
         elif COMMANDS in self._distrusted:
-            elapsed_ns = now_ns - self._command_conflict_ns
-            if not 0 <= elapsed_ns <= int(self._rules["timeout_ns"][0]):
+            self._command_conflict_ns = min(self._command_conflict_ns, now_ns)  # the clock may have gone back
+            if now_ns - self._command_conflict_ns > int(self._rules["timeout_ns"][0]):
                 self.distrust(COMMANDS, "")
 
     def distrust(self, source: str, reason: str, code: Reason = Reason.TWO_PUBLISHERS) -> None:

@@ -15,6 +15,7 @@ from scara_effmass.codes import ModelCode, Reason
 from scara_effmass.errors import LimitError, RobotError
 from scara_effmass.iso15066 import BODY_REGIONS, Limit, contact_cases, limits_for
 from scara_effmass.kernel.admission import METRES_PER_RADIAN, WINDOW_S
+from scara_effmass.model.load import load_robot
 from scara_effmass.reference import ContactState, RobotDynamics
 from scara_effmass.reference.mobility import Mobility
 from scara_effmass.reference.pose_state import X_AXIS
@@ -893,6 +894,19 @@ def test_scaling_at_rest_is_zero_if_nothing_is_allowed(scara: RobotDynamics) -> 
     (contact,) = decision.contacts
     assert (contact.verdict, contact.speed) == (Verdict.VIOLATION, 0.0)
     assert decision.speed_scaling == 0.0
+
+
+@pytest.mark.parametrize("use_reference", [False, True])
+def test_force_bound_is_the_largest_of_all_masses(*, use_reference: bool) -> None:
+    """A mass that grows as the pose changes may allow less speed, and hit less hard at a lower one, than another."""
+    settings = MonitorSettings(effective_mass_model="largest", mass_uncertainty=0.0)
+    dynamics = RobotDynamics(load_robot(settings=settings))
+    q = dynamics.robot.sample_configurations(300)
+    qd = np.random.default_rng(1).uniform(-1.0, 1.0, q.shape) * 10.0 ** np.linspace(-2.0, 0.5, len(q))[:, None]
+    states = slice(0, len(q), 10 if use_reference else 1)
+    monitor = Monitor(dynamics, settings, use_reference=use_reference)
+    contacts = monitor.assess_configurations(q[states], qd[states]).contacts
+    assert (contacts["predicted_force"] <= contacts["force_bound"] * (1.0 + 1e-9)).all()
 
 
 @pytest.mark.parametrize("stated", [(), ("joint1=0.5", "joint2=0.5", "joint3=0.5", "joint4=60")])

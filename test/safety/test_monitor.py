@@ -138,6 +138,18 @@ def test_command_number_that_does_not_increase_gives_unknown_for_the_timeout(sca
     assert verdicts == [Verdict.OK] * 2 + [Verdict.UNKNOWN] * 5 + [Verdict.OK]
 
 
+def test_clock_that_goes_back_does_not_end_the_doubt_of_the_commands(scara: RobotDynamics) -> None:
+    monitor = make_monitor(scara)
+    reasons = []
+    for at_ms, number in ((5000, 9), (5001, 8), (0, 9), (202, 10)):
+        if at_ms == 0:
+            monitor.clear_history()
+        command = JointState(NOW + at_ms * MS, JOINTS, np.zeros(4), np.empty(0))
+        monitor.take_command(command, command.stamp_ns, number)
+        reasons.append("restarted" in reason(send(monitor, at_ms)))
+    assert reasons == [False, True, True, False]
+
+
 class TestFirstCause:
     def test_first_cause_stays_until_reset(self, scara: RobotDynamics) -> None:
         monitor = make_monitor(scara)
