@@ -439,7 +439,7 @@ class ContactAssessor:
             result.allowable_speed, result.verdict = 0.0, Verdict.VIOLATION
             region = 1 + self.limits.index(weakest.limit)
             values = (result.clamping_force, weakest.limit.permissible_force_n, region)
-            result.reason, result.reason_values = Reason.CLAMPED, values
+            result.reason, result.reason_joint, result.reason_values = Reason.CLAMPED, 0, values
 
     def _judge(self, result: ContactResult, mass: float, nominal_speed: float, limit_speed: float) -> None:
         """Add the verdict on this joint state alone, and why it is not OK."""

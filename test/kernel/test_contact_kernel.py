@@ -360,7 +360,7 @@ def test_kernel_refuses_masses_below_the_least_effective_mass(tmp_path: Path, ra
     scale = 1.0
     for _ in range(2):  # the mass is that of the arm times its scale
         dynamics = RobotDynamics(load_robot(light_arm(tmp_path / "light.yaml", scale), chosen))
-        motions = np.stack([q, qd, *np.zeros((3, 1, 4))], axis=1)
+        motions = np.stack([q, qd, *np.zeros((4, 1, 4))], axis=1)
         (contact,) = compare(dynamics, chosen, motions)[0]
         scale *= ratio * MIN_EFFECTIVE_MASS / float(contact["full_mass"])
     assert contact["reason"][CODE] == reason
