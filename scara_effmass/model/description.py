@@ -63,7 +63,7 @@ class StatedLink(NamedTuple):
 class HeldJoint(NamedTuple):
     """A joint of the robot file that is fixed in the model.
 
-    `is_harmless`: its motion moves no more than a light part of the tool, and `locked_joints` names it. `position`
+    `is_harmless`: it moves no more than a finger of a gripper, without a contact point. `position`
     [rad, m] is where the model holds it, NaN if masses and geometry of the arm hardly depend on it.
     """
 

@@ -194,13 +194,12 @@ class JointStateAdapter:
 
     def _others(self, reported: Sequence[str], names: Sequence[str]) -> tuple[int, ...]:
         """Return the places of joints outside the model that neither `ignored_joints` nor the robot file excuse."""
-        known = self._harmless.union(self._joints)
-        pairs = [(index, *pair) for index, pair in enumerate(zip(reported, names, strict=True)) if pair[1] not in known]
+        pairs = enumerate(zip(reported, names, strict=True))
         others = list[int]()
-        for index, *pair in pairs:
+        for index, pair in ((index, pair) for index, pair in pairs if pair[1] not in self._joints):
             globs = {glob for glob in self._ignored if any(fnmatchcase(name, glob) for name in pair)}
             self.matched |= globs
-            if not globs:
+            if not globs and pair[1] not in self._harmless:
                 others.append(index)
         return tuple(others)
 

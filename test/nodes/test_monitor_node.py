@@ -165,7 +165,7 @@ class TestParameters:
         assert len(values) == len(names)
         by_name = dict(zip(names, values, strict=True))
         assert by_name["contact_points"].type == ParameterType.PARAMETER_STRING_ARRAY
-        assert list(by_name["locked_joints"].string_array_value) == ["*gripper*", "*finger*"]
+        assert by_name["locked_joints"].type == ParameterType.PARAMETER_STRING_ARRAY
 
     @pytest.mark.parametrize(
         ("name", "value", "reason"),

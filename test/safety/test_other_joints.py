@@ -111,6 +111,13 @@ class TestInTheSameJointState:
             others = [other._replace(names=("track",)) for other in rail(2.0)]
             assert set(run(monitor, others)) == {""}
 
+    def test_pattern_for_a_finger_fits_a_joint(self, scara: RobotDynamics) -> None:
+        robot = RobotDynamics(replace(scara.robot, held=(HeldJoint("rail", is_harmless=True),)))
+        for ignored, unmatched in (("rail", ()), ("ra*", ()), ("door", ("door",))):
+            monitor = monitor_of(robot, ignored_joints=(ignored,))
+            assert set(run(monitor, rail(2.0))) == {""}
+            assert monitor.unmatched == unmatched
+
     def test_each_joint_that_moves_is_listed(self, scara: RobotDynamics) -> None:
         monitor = monitor_of(scara)
         both = [Other(("left", "right", "still"), (0.0, 0.01 * i, 1.0), (0.0, 1.0, 0.0)) for i in range(5)]
