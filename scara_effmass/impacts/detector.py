@@ -32,7 +32,6 @@ from scara_effmass.impacts.segment import (
     Frame,
     Segment,
     classify,
-    longest_flat_run,
 )
 from scara_effmass.iso15066 import TRANSIENT_S
 from scara_effmass.settings import DetectionSettings
@@ -275,7 +274,7 @@ class Detector:
         samples = self._buffer.samples(first, self._processed)
         force = samples - zero.force
         for start, stop in true_runs((force >= -zero.threshold) & (force <= QUIET_LEVEL * zero.threshold)).tolist():
-            if stop - start >= length and longest_flat_run(samples[start:stop]) < zero.flat_run:
+            if stop - start >= length and not zero.is_stuck(samples[start:stop]):
                 return first + int(start)
         return None
 
@@ -361,7 +360,7 @@ class Detector:
         levels = [frame.median_and_deviation[0] for frame in rest]
         if len(rest) < self._rest_frames or np.ptp(levels) > REST_SHARE * self._baseline.threshold:
             return False
-        return all(longest_flat_run(frame.samples) < self._baseline.flat_run for frame in rest)  # not stuck
+        return not any(self._baseline.is_stuck(frame.samples) for frame in rest)
 
     def _adopt(self, frames: Iterable[Frame]) -> list[Impact]:
         """Adopt `frames` as the baseline, unless the signal is stuck but was noisy before.

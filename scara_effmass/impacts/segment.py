@@ -39,6 +39,11 @@ _ZERO_RUN_PROBABILITY = 1e-6
 _FINE_SHARE = 0.1
 """Maximum share of samples that equal the previous one, at rest, for a sensor of fine resolution; with dropouts."""
 
+_COARSE_LEVELS = 2
+"""Maximum number of values of a quiet sensor of coarse resolution."""
+_COARSE_STEPS = 1.5
+"""A drift by less than this number of its steps leads to a value that it repeats as the ones before."""
+
 FLANK_LOW = 0.1
 """A flank is extrapolated from this share of the peak ..."""
 FLANK_HIGH = 0.5
@@ -157,6 +162,19 @@ class Baseline:
         share = self._share(lambda samples: samples == 0.0)
         return max(MIN_ZERO_RUN, improbable_run_length(share, _ZERO_RUN_PROBABILITY))
 
+    @cached_property
+    def drift(self) -> float:
+        """Distance from the level [N] within which a quiet sensor of coarse resolution repeats any value; else 0."""
+        levels = np.unique(np.concatenate([frame.samples for frame in self._frames]))
+        return _COARSE_STEPS * float(np.ptp(levels)) if levels.size == _COARSE_LEVELS else 0.0
+
+    def is_stuck(self, samples: FloatArray) -> bool:
+        """Return whether finite `samples` (n,) have a run of equal ones that is a dropout."""
+        run = longest_flat_run(samples)
+        if run < MIN_FLAT_RUN or run < self.flat_run:
+            return False
+        return not np.abs(samples - self.force).max() < self.drift
+
     def threshold_for(self, noise: float) -> float:
         """Return the contact threshold for `noise` [N]; at least that of the baseline."""
         return max(self._settings.threshold, self._settings.noise_factor * max(noise, self.noise))
@@ -170,8 +188,7 @@ class Baseline:
         is_near = high - self._settings.threshold <= frame.low and frame.high <= low + self._settings.threshold
         if not is_near and not self.force - self.threshold <= frame.low <= frame.high <= self.force + self.threshold:
             return False
-        run = longest_flat_run(frame.samples)
-        return run < MIN_FLAT_RUN or run < self.flat_run
+        return not self.is_stuck(frame.samples)
 
     def is_steady(self, frames: Iterable[Frame], share: float = 1.0) -> bool:
         """Return whether at least `share` of `frames` have about the same median.
@@ -284,6 +301,7 @@ def classify(
     """
     force = samples - baseline.force
     dropouts = flat_runs(samples, baseline.flat_run, baseline.zero_run, saturated)
+    dropouts = dropouts[np.abs(force[dropouts[:, 0]]) >= baseline.drift]
     valid = np.isfinite(samples)
     for start, stop in dropouts:
         valid[start:stop] = False

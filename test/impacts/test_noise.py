@@ -95,3 +95,16 @@ def test_contacts_do_not_enter_the_noise(detect: Detect, add_pulse: AddPulse) ->
     for impact in often:
         assert impact.noise == pytest.approx(once.noise, rel=0.2)
         assert impact.baseline == pytest.approx(0.0, abs=0.03)
+
+
+@pytest.mark.parametrize(("resolution", "drift"), [(0.5, 0.3), (1.0, 0.3), (1.0, 1.0), (2.0, 0.3)])
+def test_a_drifting_zero_of_a_quiet_coarse_sensor_is_not_stuck(
+    detect: Detect, add_pulse: AddPulse, resolution: float, drift: float
+) -> None:
+    for seed in range(3):
+        generator = np.random.default_rng(seed)
+        force = drift * np.arange(80_000) / 5000.0 + generator.normal(0.0, 0.05, 80_000) + generator.uniform(0.0, 1.0)
+        add_pulse(force, 70_000.0, 14e-3, 283.0, rate=5000.0)
+        (impact,), detector = detect(resolution * np.round(force / resolution), 5000.0)
+        assert (impact.peak_force, impact.incomplete) == (pytest.approx(283.0, abs=resolution), False)
+        assert detector.dropouts == 0

@@ -257,7 +257,7 @@ def test_spoilt_impacts_are_counted_each_under_its_reason(campaign: Cell) -> Non
     validated, result = run(campaign._replace(impacts=impacts), ValidatorSettings(history=60.0))
     assert result.excluded == {
         "clipped: the force reached the end of the measuring range": 1,
-        "incomplete: samples were lost during it": 1,
+        "incomplete: samples are lost or doubtful, or the recording ends during it": 1,
         "rebound of an earlier impact, but larger": 1,
         "no positive peak force": 2,
     }
