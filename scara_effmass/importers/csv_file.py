@@ -20,7 +20,7 @@ from scara_effmass.importers.force_file import (
     select_unit,
     uniform_samples,
 )
-from scara_effmass.importers.times import MAX_DIGITS, Numbers, time_ns
+from scara_effmass.importers.times import MAX_DIGITS, Decimals, Numbers, time_ns
 from scara_effmass.input_files import check_regular_file
 from scara_effmass.settings import ImportSettings
 from scara_effmass.wire.cdr import MAX_SEC, NS
@@ -235,6 +235,7 @@ def _samples(
         rule = f"must be one of {', '.join(NS_PER_UNIT)}; without times, state --rate HZ"
         raise BagError(f"{path}: {header[time]}: has the unit {unit}; {rule}")
     previous_ns, previous = -MAX_SEC * NS - 1, ""
+    decimals = Decimals()
     for count, (line, row) in enumerate(rows):
         if not all(len(row) > column and row[column] for column in (time, force) if column is not None):
             continue
@@ -242,6 +243,7 @@ def _samples(
             value = number(row[force])
         except ValueError:
             raise BagError(f"{path}: line {line}: {header[force]} = {row[force]!r}: {DIGITS}") from None
+        decimals.add(row[force], value)
         if time is None:
             stamp_ns = round(count / rate * NS)
             if stamp_ns > MAX_SEC * NS:
@@ -260,6 +262,7 @@ def _samples(
                 raise BagError(f"{origin}: must not be less than {previous}, the time before")
             previous_ns, previous = stamp_ns, row[time]
         yield stamp_ns, value
+    decimals.check(f"{path}: {header[force]}")
 
 
 def _is_number(text: str, delimiter: str) -> bool:

@@ -4,10 +4,13 @@
 import re
 from datetime import datetime, timedelta, timezone
 
+from scara_effmass.errors import BagError
 from scara_effmass.wire.cdr import MAX_SEC, NS
 
 MAX_DIGITS = 20
 """Maximum number of digits of an integer time; longer ones are read as floats."""
+MIN_WHOLE = 100.0
+"""With thousands separators, 976 stands beside 1.558; with decimals, 9.5 and 97.6 would, too."""
 _ISO = re.compile(
     r"(?:(\d{4})-?(\d\d)-?(\d\d)[T ]\s*)?(\d\d):?(\d\d):?(\d\d)(?:[.,](\d+))?\s*(Z|UTC|[+-]\d\d(?::?\d\d)?)?"
 )
@@ -43,6 +46,28 @@ class Numbers:
         if found:
             (self._marks,) = found
         return float(text.replace(",", "."))
+
+
+class Decimals:
+    """Tells thousands separators from decimal marks in the numbers of one column."""
+
+    def __init__(self) -> None:
+        self._lengths: set[int] = set()
+        self._largest_whole = 0.0
+
+    def add(self, text: str, value: float) -> None:
+        """Add the `text` of a number with this `value`."""
+        _, mark, digits = text.replace(",", ".").partition(".")
+        if mark:
+            self._lengths.add(len(digits))
+        else:
+            self._largest_whole = max(self._largest_whole, abs(value))
+
+    def check(self, origin: str) -> None:
+        """Raise BagError, which begins with `origin`, if the marks look like thousands separators."""
+        if self._lengths == {3} and self._largest_whole >= MIN_WHOLE:
+            rule = "must have no thousands separator, or decimals in every number"
+            raise BagError(f"{origin}: 3 digits behind every mark, none in {self._largest_whole:g}: {rule}")
 
 
 def time_ns(text: str, ns_per_unit: int, number: Numbers | None = None) -> int:

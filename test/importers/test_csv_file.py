@@ -138,6 +138,11 @@ def test_samples_at_the_end_of_the_range_are_marked(tmp_path: Path) -> None:
         ("t,f (N)\n0,1\n1,a\n", {}, r"line 3: f \(N\) = 'a': must be digits with a decimal point"),
         ("# a\nt,f (N)\n0,1\nx,2\n", {}, "line 4: t = 'x': must be digits"),
         ("t;f (N)\n0,5;1.25\n", {}, r"line 2: t = '0,5': must be digits with a decimal point, or one decimal comma"),
+        (
+            "t;f (N)\n0;976\n1;1.558\n2;1.570\n",
+            {},
+            r"f \(N\): 3 digits behind every mark, none in 976: must have no th",
+        ),
         ("t (s),f (N)\n0,001,0,5\n", {}, "line 2: has 4 fields, the first row 2: must be as many; a decimal comma"),
         ("t,f (N)\n0,1\n1,2\n0.5,3\n", {}, "line 4: t = 0.5: must not be less than 1, the time before"),
         ("t,f (N)\nnan,1\n", {}, "line 2: t = 'nan': must be digits"),
