@@ -46,7 +46,9 @@ def series_status(
         problems.append(f"held force above a limit: {worst.force:.1f} N of {worst.limit:.1f} N on {worst.region}")
     if result.left_out.exceedances:
         worst = result.left_out.worst
-        problems.append(f"left out of the series: {worst.force:.1f} N of {worst.limit:.1f} N on {worst.region}")
+        problems.append(
+            f"left out of the series and above a limit: {worst.force:.1f} N of {worst.limit:.1f} N on {worst.region}"
+        )
     if result.unmeasured:
         problems.append(f"{result.unmeasured} contacts clipped, incomplete or stuck: their force is not known")
     problems += [result.clock, result.force_sign, unheard]
