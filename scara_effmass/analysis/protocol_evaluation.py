@@ -409,7 +409,7 @@ def _other_reasons(
     for item in left_out:
         bound_n, peak_n = judged_n if item.held_n is not None else min(judged_n, harmless_n), item.peak_n or 0.0
         if not item.complete or peak_n > bound_n:
-            size = f"{at_least(peak_n, 1)} N" if item.peak_n is not None else f"{item.count}"
+            size = f"{at_least(peak_n, 1)} N" if item.peak_n is not None else f"{item.count} times"
             yield f"left out: {size} in {item.raw_data or 'the recordings'}: {item.reason}"
     known_n = min(harmless_n, max([largest, *(item.peak_n or 0.0 for item in left_out)]))
     outside_n = max((trace.outside for trace in traces), default=0.0)

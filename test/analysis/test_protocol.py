@@ -33,7 +33,7 @@ from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
-from scara_effmass.settings import ImportSettings, MonitorSettings, ValidatorSettings
+from scara_effmass.settings import ImportSettings, MonitorSettings, SensorSettings, ValidatorSettings
 from scara_effmass.values import ContactAssessment, ForceBlock, JointState, Verdict, severity
 from scara_effmass.wire.force import force_block_message
 from scara_effmass.wire.message_types import FORCE_BLOCK
@@ -417,6 +417,20 @@ def test_raw_data_shows_what_nobody_entered(case: str, tmp_path: Path) -> None:
     assert not reason or reason in evaluation.reasons
 
 
+def test_the_calibration_is_no_better_than_that_of_the_raw_data(tmp_path: Path) -> None:
+    values = content()
+    (tmp_path / "volts.csv").write_bytes(RAW.replace(b"(N)", b"(V)"))
+    sensor = {"sensitivity": 1000.0, "sensitivity_uncertainty": 0.1}
+    for item in values["tests"][0]["results"]["repetitions"]:
+        item |= {"raw_data": "volts.csv", "raw_sha256": None, "raw_import": {"sensor": sensor}}
+    evaluation = result(values, tmp_path)
+    assert evaluation.budget
+    assert evaluation.budget["calibration"] == 0.1
+    del sensor["sensitivity"]
+    rule = "raw data is no force: sensor.sensitivity: must be stated for values in V"
+    assert any(reason.startswith(rule) for reason in result(values, tmp_path).reasons)
+
+
 def test_the_sampling_is_that_of_the_raw_data(tmp_path: Path) -> None:
     """Two samples in a contact do not show its peak."""
     values = content(250.0)
@@ -662,6 +676,16 @@ def test_contacts_are_those_of_the_validation(
         assert item.direction == pytest.approx(impact.direction, abs=1e-5)
         assert item.pose
         assert {"joint1", "joint2", "joint3", "joint4"} <= item.pose.keys()
+
+
+def test_a_stated_setting_is_entered_whatever_its_value(
+    campaign: list[Path], dynamics: RobotDynamics, device_settings: ValidationSettings
+) -> None:
+    """A file in volts cannot be read again without it."""
+    test = ContactTest(id="1")
+    settings = ImportSettings(sensor=SensorSettings(sensitivity=2.248))
+    (item,) = filled(test, validate(campaign[:1], dynamics, device_settings), settings, Path()).results.repetitions
+    assert item.raw_import == {"sensor": {"sensitivity": 2.248}}
 
 
 @pytest.fixture

@@ -71,10 +71,8 @@ def test_the_hint_of_init_works_as_printed(cli: Cli, refused: Refused, swing_bag
 def test_fill_enters_simulated_contacts_which_stay_unknown(
     cli: Cli, refused: Refused, campaign: list[Path], tmp_path: Path
 ) -> None:
-    values = changed(
-        content(),
-        {"instruments": [{"stiffness_n_m": 2e6, "fixed": False, "moving_mass_kg": 2.39, "sample_rate_hz": 12.8e3}]},
-    )
+    device = {"stiffness_n_m": 2e6, "fixed": False, "moving_mass_kg": 2.39, "sample_rate_hz": 12.8e3}
+    values = changed(content(), {"instruments": [device]})
     values["identity"]["test_date"] = "2026-01-01"
     values["tests"][0]["results"] = {"photos": [], "deviations": "none"}
     path = tmp_path / "protocol.yaml"
