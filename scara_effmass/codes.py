@@ -49,6 +49,7 @@ class Reason(IntEnum):
     UNMODELLED_MOTION = 45  # detail: joint outside the model, and why it counts as moving
     UNSTATED_LOAD = 46  # detail: load by the torques, and the stated one
     HELD_ELSEWHERE = 47  # values: position, that in the model [rad, m]; detail: joint that the model holds
+    HELD_UNREPORTED = 48  # detail: joints that the model holds, not all of which are reported
     NO_MASSES = 50
     NO_LUMPED_MASS = 51  # values: why there is none
     NO_FULL_MASS = 52

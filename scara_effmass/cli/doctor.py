@@ -237,6 +237,9 @@ def _robot(dynamics: RobotDynamics) -> Iterator[CheckResult]:
     if held := [joint.name for joint in robot.held if not joint.is_harmless]:
         text = f"UNKNOWN while one of these moves, which the model holds fixed: {', '.join(held)}"
         yield CheckResult("note", "motion", f"{text}: ignored_joints states the harmless ones")
+    if expected := [joint.name for joint in robot.held if joint.is_expected]:
+        text = f"UNKNOWN unless joint states have these, too, which the model holds fixed: {', '.join(expected)}"
+        yield CheckResult("note", "joint states", f"{text}: locked_joints states those that never move")
     for name, text in _home_masses(dynamics):
         yield CheckResult("ok", f"home pose, {name}", text)
     warning = robot.rotors.warning

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -19,10 +19,10 @@ MAX_NAMES = 10_000
 TOO_MANY = "one of too many other joints"
 MIN_SILENCE_NS = 3 * NANOSECONDS // 2
 """Shortest time without a joint after which it counts as SILENT: a gripper that reports at 1 Hz is none."""
-RESTS, MOVES, UNSEEN, SILENT, ELSEWHERE = range(5)
+RESTS, MOVES, UNSEEN, SILENT, ELSEWHERE, UNREPORTED = range(6)
 """State of a joint: UNSEEN has no finite position, SILENT is reported no more, so both may move; ELSEWHERE rests, but
-not where the model holds it."""
-TEXTS = ("", "{} moves", "{} may move (it shows no position)", "{} may move (it is silent)", "{}")
+not where the model holds it; UNREPORTED was in no joint state yet, though the model holds it somewhere."""
+TEXTS = ("", "{} moves", "{} may move (it shows no position)", "{} may move (it is silent)", "{}", "{}")
 """What the reason says of a joint, by its state."""
 _NEVER = -1
 
@@ -45,10 +45,13 @@ class OtherJoints:
     rested for CONFIRMATION_NS. One that moved in its last joint state still moves, however long ago that was.
     """
 
-    def __init__(self, held: Mapping[str, float]) -> None:
-        """Expect joints where the model holds them, `held` [rad, m] by name."""
+    def __init__(self, held: Mapping[str, float], expected: Sequence[str] = ()) -> None:
+        """Expect joints where the model holds them, `held` [rad, m] by name; those `expected` must be seen."""
         self.names = [TOO_MANY]
+        self.expected = [*expected]
+        """Joints that had not been seen when the joints were last forgotten."""
         self._numbers: dict[str, int] = {}
+        self._seen_ns: IntArray = np.empty(0, np.int64)
         self._held_at = held
         self.tolerance, self.max_speed = 0.0, 0.0
         """Displacement [rad, m] and speed [rad/s, m/s] up to which a joint rests."""
@@ -61,13 +64,16 @@ class OtherJoints:
         self.watch(self.numbers(["joint"]), np.ones(1, np.int64), np.zeros((1, 1)), np.zeros((1, 1)))
 
     def forget(self) -> None:
-        """Forget which joints there were, and where."""
+        """Forget which joints there were, and where. One that was seen need not be seen again: it may have gone."""
+        seen = {name for name, number in self._numbers.items() if self._seen_ns[number] != _NEVER}
+        self.expected = [name for name in self.expected if name not in seen]
         self._anchors = self.held = np.empty(0)
         self._moved_ns = self._seen_ns = self._states = np.empty(0, np.int64)
         self._has_moved = np.empty(0, np.bool_)
-        self.has_seen = False
-        """Whether there was a joint."""
-        self._extend()
+        self.has_seen = bool(self.expected)
+        """Whether there was a joint, or must be one."""
+        unreported = self.numbers(self.expected)
+        self._states[unreported] = UNREPORTED
 
     def _extend(self) -> None:
         """Make room for joints that have no memory yet."""
@@ -79,7 +85,7 @@ class OtherJoints:
         self._seen_ns = np.append(self._seen_ns, zeros + _NEVER)
         self._has_moved = np.append(self._has_moved, zeros > 0)
 
-    def numbers(self, names: list[str]) -> IntArray:
+    def numbers(self, names: Sequence[str]) -> IntArray:
         """Return the numbers of the joints with these names."""
         for name in names:
             if name not in self._numbers and len(self.names) < MAX_NAMES:
@@ -94,8 +100,8 @@ class OtherJoints:
         return tuple(self.names[number] for number in np.flatnonzero(self._has_moved).tolist())
 
     def text(self, number: int, state: int) -> str:
-        """Return the name of a joint and what its `state` means."""
-        return TEXTS[state].format(self.names[number])
+        """Return the name of a joint and what its `state` means; of one that is UNREPORTED, all of `expected`."""
+        return TEXTS[state].format(", ".join(self.expected) if state == UNREPORTED else self.names[number])
 
     def watch(self, numbers: IntArray, clocks: IntArray, position: FloatArray, velocity: FloatArray) -> Found | None:
         """Return what is found in each of N joint states; None if every joint rests.

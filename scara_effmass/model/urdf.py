@@ -149,7 +149,10 @@ def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> RobotDescri
         tool_tip=tip,
         held=tuple(
             HeldJoint(
-                name, tree.is_harmless(name, needed), positions[name] if tree.shapes_arm(name, needed) else math.nan
+                name,
+                is_harmless=tree.is_harmless(name, needed),
+                position=positions[name] if tree.shapes_arm(name, needed) else math.nan,
+                is_stated=name in tree.named,
             )
             for name in sorted(fixed)
         ),

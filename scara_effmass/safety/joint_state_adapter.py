@@ -68,8 +68,11 @@ class JointStateAdapter:
         self._held = {joint.name for joint in held}
         self._harmless = {joint.name for joint in held if joint.is_harmless}
         self._ignored = settings.ignored_joints
-        self.matched = set[str]()
-        """Patterns of `ignored_joints` that have fitted a joint."""
+        self.matched = {glob for glob in self._ignored if any(fnmatchcase(name, glob) for name in self._held)}
+        """Patterns of `ignored_joints` that have fitted a joint of the joint states, or that the model holds."""
+        expected = [joint.name for joint in held if joint.is_expected]
+        self.expected = [name for name in expected if not any(fnmatchcase(name, glob) for glob in self._ignored)]
+        """Joints that the model holds, without which joint states are incomplete."""
         self._series = {_numbered(joint) for joint in joints if _numbered(joint) != joint}
         self._map, self._joint_names = settings.joint_renames, settings.joint_names
         self._layouts: dict[tuple[str, ...], Layout] = {}

@@ -20,7 +20,7 @@ from scara_effmass.iso15066 import Limit, limits_of
 from scara_effmass.kernel import jit
 from scara_effmass.kernel.admission import METRES_PER_RADIAN, NANOSECONDS, WINDOW_S, admit, forget_all
 from scara_effmass.kernel.contact_kernel import ContactKernel, too_large
-from scara_effmass.kernel.other_joints import ELSEWHERE, MIN_SILENCE_NS, RESTS, Found, OtherJoints
+from scara_effmass.kernel.other_joints import ELSEWHERE, MIN_SILENCE_NS, RESTS, UNREPORTED, Found, OtherJoints
 from scara_effmass.kernel.records import CONTACT, REASON_SIZE, IntArray
 from scara_effmass.kernel.settle import settle
 from scara_effmass.kernel.state import (
@@ -57,6 +57,8 @@ DEFAULT_MAX_SPEED = (60.0, 10.0)
 MAX_DETAILS = 10_000
 """Number of different texts of reasons that are kept."""
 OTHER_DETAIL = "one of too many different reasons"
+HELD_REASONS = {ELSEWHERE: Reason.HELD_ELSEWHERE, UNREPORTED: Reason.HELD_UNREPORTED}
+"""Reasons of joints that the model holds, by their state, besides UNMODELLED_MOTION."""
 PAYLOAD, COMMANDS = "payload", "joint_commands"
 """Inputs that can be distrusted, beside those of the node."""
 HEAD, REASON = Struct("3q"), Struct(f"{REASON_SIZE}d")
@@ -117,7 +119,7 @@ class Monitor:
         """Where the kernel disagreed with the reference, which works alone since then; empty if nowhere."""
         self._max_qdd = max_joint_accelerations(settings.max_joint_acceleration, robot.joint_names)
         self._adapter = JointStateAdapter(robot.joint_names, settings, robot.periods, robot.held)
-        self._others = OtherJoints({joint.name: joint.position for joint in robot.held})
+        self._others = OtherJoints({joint.name: joint.position for joint in robot.held}, self._adapter.expected)
         self._other_places = dict[tuple[str, ...], tuple[IntArray, IntArray]]()
         self._rules, self._memory = np.zeros(1, RULES), np.zeros(1, MEMORY)
         self._joints = np.zeros(robot.model.nv, JOINT_MEMORY)
@@ -631,7 +633,7 @@ class Monitor:
                     part["reason"][np.ix_(admitted, [CODE, DETAIL])] = doubt.reason, text
 
     def _refuse_unmodelled(self, records: Records, layout: Layout, position: FloatArray, velocity: FloatArray) -> None:
-        """Give the reason of joint states during which a joint outside the model moves, or rests elsewhere."""
+        """Give the reason of joint states while a joint outside the model moves, rests elsewhere, or is missing."""
         if not layout.others and not self._others.has_seen:
             return
         found = self._watch(layout, np.ascontiguousarray(records["now_ns"]), position, velocity)
@@ -641,10 +643,9 @@ class Monitor:
         for number, state in {*zip(found.numbers.tolist(), found.states.tolist(), strict=True)}:
             if state != RESTS:
                 rows = (found.numbers == number) & (found.states == state) & (reasons[:, CODE] == Reason.NONE)
-                is_held = state == ELSEWHERE
-                reasons[rows, CODE] = Reason.HELD_ELSEWHERE if is_held else Reason.UNMODELLED_MOTION
+                reasons[rows, CODE] = HELD_REASONS.get(state, Reason.UNMODELLED_MOTION)
                 reasons[rows, DETAIL] = self._detail(self._others.text(number, state))
-                if is_held:
+                if state == ELSEWHERE:
                     reasons[rows, VALUES], reasons[rows, VALUES + 1] = positions[rows], self._others.held[number]
 
     def _unknown_state(self, reason: Reason, detail: str, stamp_ns: int, age: float, seconds: float) -> Pending:

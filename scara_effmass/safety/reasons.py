@@ -68,6 +68,7 @@ TEXTS = {
     Reason.OTHER_JOINTS_SINCE: f"no valid joint state for {{v[0]:.2f}} s {OTHER_JOINTS}",
     Reason.UNMODELLED_MOTION: "joint {detail}, but is not in the model",
     Reason.HELD_ELSEWHERE: "joint {detail} is at {v[0]:.4g}, but the model holds it at {v[1]:.4g}",
+    Reason.HELD_UNREPORTED: "not every joint that the model holds fixed is reported: {detail}",
     Reason.NO_MASSES: "{masses}",
     Reason.NO_LUMPED_MASS: "no lumped mass ({lumped}): choose effective_mass_model auto, full or iso",
     Reason.NO_FULL_MASS: "no full mass ({full}): choose effective_mass_model auto, lumped or iso",

@@ -82,6 +82,10 @@ REMEDIES = {
         "let the model move this joint by contact points beyond it and no `locked_joints`, or fix it in the robot file "
         "where it is; name it in `ignored_joints` only if its position changes neither masses nor geometry"
     ),
+    Reason.HELD_UNREPORTED: (
+        "let a node publish these joints, too; name them in `locked_joints` if they stay at zero or their limit "
+        "nearest to it, or in `ignored_joints` if their position changes neither masses nor geometry"
+    ),
     Reason.NO_MASSES: ROBOT_FILE,
     Reason.NO_LUMPED_MASS: MODEL,
     Reason.NO_FULL_MASS: MODEL,

@@ -108,6 +108,7 @@ def test_position_of_a_held_joint_counts_that_shapes_the_arm() -> None:
     positions = {held.name: held.position for held in robot.held}
     nan = pytest.approx(float("nan"), nan_ok=True)
     assert positions == {"rise": nan, "lean": 0.1, "j2": 0.0, "other": 0.0, "left_wheel": nan, "right_wheel": nan}
+    assert [held.name for held in robot.held if held.is_expected] == ["other"]  # locked_joints state the others
 
 
 def test_mimic_of_a_joint_that_does_not_exist_is_noted() -> None:

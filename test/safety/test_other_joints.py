@@ -231,6 +231,49 @@ class TestHeldByTheModel:
         assert set(run(monitor_of(RobotDynamics(robot)), at_rest)) == {reason if shown else ""}
         assert set(run(monitor_of(RobotDynamics(robot), ignored_joints=("rail",)), at_rest)) == {""}
 
+    @pytest.mark.parametrize(
+        ("reported", "ignored", "is_known"),
+        [
+            ((), (), False),
+            (("rail",), (), False),
+            (("rail", "swing"), (), True),
+            (("rail",), ("sw*",), True),
+            ((), ("rail", "swing"), True),
+        ],
+    )
+    def test_joint_that_no_joint_state_has_gives_unknown(
+        self,
+        scara: RobotDynamics,
+        reported: tuple[str, ...],
+        ignored: tuple[str, ...],
+        is_known: bool,  # noqa: FBT001 - a parameter
+    ) -> None:
+        """Unless it is stated as locked, or hardly shapes the arm."""
+        held = [HeldJoint(name, is_harmless=False, position=0.0) for name in ("rail", "swing")]
+        held += [
+            HeldJoint("locked", is_harmless=False, position=0.0, is_stated=True),
+            HeldJoint("jaw", is_harmless=False),
+        ]
+        monitor = monitor_of(RobotDynamics(replace(scara.robot, held=tuple(held))), ignored_joints=ignored)
+        at_rest = [Other(reported, (0.0,) * len(reported), (0.0,) * len(reported))] * 5
+        text = "not every joint that the model holds fixed is reported: rail, swing"
+        assert set(run(monitor, at_rest)) == {"" if is_known else text}
+        assert monitor.unmatched == ()
+        assert monitor.unmodelled_joints == ()
+
+    def test_held_joint_may_be_reported_by_itself_and_may_go_at_a_reset(self, scara: RobotDynamics) -> None:
+        robot = replace(scara.robot, held=(HeldJoint("swing", is_harmless=False, position=0.0),))
+        monitor, alone = monitor_of(RobotDynamics(robot)), [Other((), (), ())]
+        unreported = ["not every joint that the model holds fixed is reported: swing"]
+        assert run(monitor, alone) == unreported
+        monitor.reset()
+        assert run(monitor, alone) == unreported
+        monitor.assess(JointState(NOW, ("swing",), np.zeros(1), np.zeros(1)), NOW)
+        assert run(monitor, alone) == [""]
+        monitor.reset()
+        monitor.clear_history()
+        assert run(monitor, alone) == [""]
+
 
 class TestAnotherArm:
     @pytest.mark.parametrize(
