@@ -26,6 +26,7 @@ from scara_effmass.kernel.dynamics import fill_dynamics
 from scara_effmass.kernel.hull import (
     place_on_link,
     set_hull,
+    worst_mass_at_rest,
     worst_reduced_mass,
 )
 from scara_effmass.kernel.jit import compiled, inlined
@@ -143,19 +144,20 @@ def fill_mobilities(choice: Choice, approach: Approach, point: Point, setup: Set
             set_normal_acceleration(approach, setup, out)
             continue
         m = choice.full if k == Model.FULL else choice.lumped
+        worst = worst_mass_at_rest(k, work.worst[k], approach, point, setup, work, out)
         if approach.is_moving:
             set_scalars(any_normal, m, approach.direction, approach.rank)
         else:
-            set_scalar(any_normal, 1.0 / work.worst[k])
+            set_scalar(any_normal, 1.0 / worst)
         if changes:
             fill_change(k, m, approach, held, setup, work, out)
         set_acceleration(k, work.worst[k], approach, setup, work, out)
-        set_normal(out, m, work.masses[k], work.worst[k], approach, setup)
+        set_normal(out, m, work.masses[k], worst, approach, setup)
     count = models
     if setup.joints_are_held:
         for k in range(2):
             if choice.takes[k]:
-                add_held(k, approach, held, changes, setup, work, work.mobilities[count])
+                add_held(k, approach, held, changes, point, setup, work, work.mobilities[count])
                 set_hull(work.mobilities[count], HULL_KNOWN, 2 + k, approach, point, work)
                 count += 1
     return models, count
@@ -167,6 +169,7 @@ def add_held(
     approach: Approach,
     held: Vector3,
     changes: bool,  # noqa: FBT001 - compiled
+    point: Point,
     setup: Setup,
     work: Work,
     out: Mobility,
@@ -178,6 +181,7 @@ def add_held(
         fill_held_change(k, m, approach, held, work, out)
     worst = worst_mass(m, approach.rank)
     set_acceleration(k, worst, approach, setup, work, out)
+    worst = worst_mass_at_rest(2 + k, worst, approach, point, setup, work, out)
     set_normal(out, m, mass_along(m, approach), worst, approach, setup)
 
 

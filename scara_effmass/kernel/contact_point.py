@@ -104,6 +104,8 @@ def approach_of(point: Point, vertex: int, motion: FloatArray, age: float, setup
     speed = norm(velocity)
     is_moving = speed >= setup.speed_threshold and speed > 0.0
     n = ZERO_VECTOR
+    if vertex >= 0 and not is_moving:
+        speed = math.sqrt(work.fastest_square)
     if is_moving:
         n = velocity[0] / speed, velocity[1] / speed, velocity[2] / speed
     normal, share = in_base(setup.normal_joint, setup.normal_vector, work.rotations), 1.0

@@ -60,13 +60,15 @@ second_trial = inlined(reference.second_trial)
 class Certificate(NamedTuple):
     """Motion of the link that proves the `bound` of the energy [J] of its hull, and the fastest `vertex` in it.
 
-    `excess` [m2/s2]: by how much the square of its speed exceeds the weighted mean of the supports.
+    `excess` [m2/s2]: by how much the square of its speed exceeds the weighted mean of the supports. `met` is the bound
+    at the scale of the motion, and with the person, that was asked for.
     """
 
     motion: Motion
     vertex: int
     excess: float
     bound: float
+    met: float
 
 
 @inlined
@@ -242,6 +244,17 @@ def place_on_link(point: Point, setup: Setup, work: Work) -> int:
 
 
 @inlined
+def copy_link(out: Mobility, k: int, point: Point, work: Work) -> None:
+    """Write vertices and mobility of a link; `k` is the index of the latter."""
+    out.vertex_count = point.vertex_count
+    for i in range(6):
+        for j in range(6):
+            out.twist_mobility[i, j] = work.twist_mobility[k, i, j]
+    for i in range(point.vertex_count):
+        set_vector(out.vertices, i, vector_at(work.vertices, i))
+
+
+@inlined
 def set_hull(out: Mobility, kind: int, k: int, approach: Approach, point: Point, work: Work) -> None:
     """Write the hull of a link into the mobility of its worst vertex; `k` is the index of the link's mobility."""
     out.hull, out.speed_ratio = HULL_NONE, 1.0
@@ -249,16 +262,12 @@ def set_hull(out: Mobility, kind: int, k: int, approach: Approach, point: Point,
         return
     twist = motion_at(work.velocities, point.joint)
     square = approach.speed * approach.speed
-    out.hull, out.vertex_count, out.vertex, out.square = kind, point.vertex_count, approach.vertex, square
+    out.hull, out.vertex, out.square = kind, approach.vertex, square
     out.speed_ratio = max(1.0, work.fastest_square / square)
     if kind == HULL_KNOWN:
         out.energy_of_arm = work.energies[k]
         set_spatial(out.twist, 0, twist.angular, twist.linear)
-        for i in range(6):
-            for j in range(6):
-                out.twist_mobility[i, j] = work.twist_mobility[k, i, j]
-        for i in range(point.vertex_count):
-            set_vector(out.vertices, i, vector_at(work.vertices, i))
+        copy_link(out, k, point, work)
 
 
 @inlined
@@ -380,20 +389,30 @@ def mean_square(m: Mobility, x: Motion, weights: FloatArray, count: int) -> floa
 
 
 @inlined
-def certificate(m: Mobility, s: float, count: int, person_speed: float) -> Certificate:
-    """Return the bound of the energy of the whole hull by the weights of `count` supports."""
-    x, energy = motion_after(m, s, count)
-    vertex = farthest(m, x)
-    square = square_at(x, vector_at(m.vertices, vertex))
-    speed = math.sqrt(square) + person_speed
-    bound = energy + speed * speed / s
+def certified(m: Mobility, s: float, i: int, scaling: float, person_speed: float) -> float:
+    """Return the bound that the motion `i` proves, at `scaling` times the motion of the link."""
+    speed = scaling * m.fastest[i] + person_speed
+    bound = scaling * scaling * m.of_arm[i] + speed * speed / s
     if person_speed > 0.0:
         root = 0.0
-        for i in range(m.vertex_count):
-            own = math.sqrt(energy + square_at(x, vector_at(m.vertices, i)) / s)
-            root = max(root, own + person_speed * m.met_roots[i])
+        for j in range(m.vertex_count):
+            root = max(root, scaling * m.own_roots[i, j] + person_speed * m.met_roots[j])
         bound = min(bound, root * root)
-    return Certificate(x, vertex, square - mean_square(m, x, m.weights, count), bound)
+    return bound
+
+
+@inlined
+def certificate(m: Mobility, s: float, count: int, scaling: float, person_speed: float) -> Certificate:
+    """Return the bound of the energy of the whole hull by the weights of `count` supports, and keep it."""
+    x, energy = motion_after(m, s, count)
+    vertex, i = farthest(m, x), m.certificates
+    square = square_at(x, vector_at(m.vertices, vertex))
+    m.certificates, m.of_arm[i], m.fastest[i] = i + 1, energy, math.sqrt(square)
+    if person_speed > 0.0:
+        for j in range(m.vertex_count):
+            m.own_roots[i, j] = math.sqrt(energy + square_at(x, vector_at(m.vertices, j)) / s)
+    met = certified(m, s, i, scaling, person_speed)
+    return Certificate(x, vertex, square - mean_square(m, x, m.weights, count), energy + square / s, met)
 
 
 @inlined
@@ -467,37 +486,46 @@ def fill_met_roots(m: Mobility, s: float) -> None:
 
 
 @inlined
-def hull_energy(m: Mobility, s: float, person_speed: float, enough: float) -> float:
+def of_whole_arm(m: Mobility, s: float, scaling: float, person_speed: float) -> float:
+    """Return the bound by contacts that slow down all of the arm, at `scaling` times the motion of the link."""
+    energy: float = scaled_energy(m.energy_of_arm, s, scaling, math.sqrt(m.square * m.speed_ratio), person_speed)
+    return energy
+
+
+@inlined
+def hull_energy(m: Mobility, s: float, scaling: float, person_speed: float, enough: float) -> float:
     """Return a bound of v^T (s 1 + A)^-1 v over the hull, for a person of up to `person_speed` [m/s] in any direction.
 
-    Frank-Wolfe steps on the weights of the vertices, until the bound is at most `enough`.
+    It is that at `scaling` times the motion of the link. Frank-Wolfe steps on the weights of the vertices, until the
+    bound is at most `enough`.
     """
-    least = scaled_energy(m.energy_of_arm, s, math.sqrt(m.square * m.speed_ratio), person_speed)
-    if least <= enough:
-        return least
+    found = of_whole_arm(m, s, scaling, person_speed)
+    if found <= enough:
+        return found
     if person_speed > 0.0:
         fill_met_roots(m, s)
+    m.certificates = 0
     add_support(m, m.vertex, 0)
     m.weights[0] = 1.0
-    found = certificate(m, s, 1, person_speed)
-    least = min(least, found.bound)
+    last = certificate(m, s, 1, scaling, person_speed)
+    found, least = min(found, last.met), min(of_whole_arm(m, s, 1.0, 0.0), last.bound)
     for count in range(1, STEPS + 1):
-        if least <= enough or not found.excess > MAX_GAP * s * least:
+        if found <= enough or not last.excess > MAX_GAP * s * least:
             break
-        slope, lever, t = found.excess, vector_at(m.vertices, found.vertex), FIRST_TRIAL
-        add_support(m, found.vertex, count)
+        slope, lever, t = last.excess, vector_at(m.vertices, last.vertex), FIRST_TRIAL
+        add_support(m, last.vertex, count)
         for i in range(count):
             m.starts[i] = m.weights[i]
         for _ in range(2):
             for i in range(count):
                 m.weights[i] = (1.0 - t) * m.starts[i]
             m.weights[count] = t
-            found = certificate(m, s, count + 1, person_speed)
-            least = min(least, found.bound)
-            if least <= enough or not found.excess > MAX_GAP * s * least:
+            last = certificate(m, s, count + 1, scaling, person_speed)
+            found, least = min(found, last.met), min(least, last.bound)
+            if found <= enough or not last.excess > MAX_GAP * s * least:
                 break
-            t = second_trial(slope, square_at(found.motion, lever) - mean_square(m, found.motion, m.starts, count))
-    return least
+            t = second_trial(slope, square_at(last.motion, lever) - mean_square(m, last.motion, m.starts, count))
+    return found
 
 
 @inlined
@@ -512,20 +540,60 @@ def worst_reduced_mass(m: Mobility, alpha: float, beta: float, enough: float) ->
     if m.hull == HULL_MASS or beta <= 0.0:
         return mass * m.speed_ratio
     per_mass = beta * m.square
-    energy = hull_energy(m, max(alpha / beta, CLAMPED_TOLERANCE * m.matrix_trace), 0.0, enough * per_mass)
+    energy = hull_energy(m, least_of(m, alpha, beta), 1.0, 0.0, enough * per_mass)
     bound: float = max(mass, energy / per_mass)
     return bound
 
 
 @inlined
-def person_ratio(m: Mobility, alpha: float, beta: float, person_speed: float, at_vertex: float, enough: float) -> float:
-    """Return a bound of the force anywhere on a link over that at its vertex, for a person in any direction.
+def least_of(m: Mobility, alpha: float, beta: float) -> float:
+    """Return s of the line; a direction without mobility counts as nearly rigid."""
+    s: float = max(alpha / beta, CLAMPED_TOLERANCE * m.matrix_trace)
+    return s
 
-    It holds at the present speed, where w^T (alpha 1 + beta A)^-1 w of the vertex is `at_vertex`. It may be larger than
-    need be, unless it is above `enough`.
+
+@inlined
+def worst_mass_at_rest(
+    k: int, mass: float, approach: Approach, point: Point, setup: Setup, work: Work, out: Mobility
+) -> float:
+    """Return the largest mass over all directions, `mass` at the contact point, of a link a bound over all its points.
+
+    `k` is the index of the link's mobility, `out` is scratch.
     """
-    speed = math.sqrt(m.square)
+    if approach.vertex < 0 or approach.is_moving or approach.rank < 3 or setup.clamps:
+        return mass
+    s, root = point.hull_mobility, 0.0
+    copy_link(out, k, point, work)
+    fill_met_roots(out, s)
+    for i in range(out.vertex_count):
+        root = max(root, out.met_roots[i])
+    worst: float = max(mass, inverse(1.0 / (root * root) - s))
+    return worst
+
+
+@inlined
+def energy_anywhere(m: Mobility, alpha: float, beta: float, mass: float, s: float, person_speed: float) -> float:
+    """Return a bound of w^T (alpha 1 + beta A)^-1 w anywhere on a link, for a person in any direction.
+
+    It is that at the speed `s` [m/s] of the vertex, after `hull_energy` at any speed. The `mass` is that of a robot
+    whose mass is the same everywhere.
+    """
     if m.hull == HULL_MASS or beta <= 0.0:
-        return (speed * math.sqrt(m.speed_ratio) + person_speed) / (speed + person_speed)
-    s, at_vertex = max(alpha / beta, CLAMPED_TOLERANCE * m.matrix_trace), beta * at_vertex
-    return math.sqrt(max(1.0, hull_energy(m, s, person_speed, enough * enough * at_vertex) / at_vertex))
+        speed = s * math.sqrt(m.speed_ratio) + person_speed
+        return mass * speed * speed
+    least, scaling = least_of(m, alpha, beta), s / math.sqrt(m.square)
+    energy = of_whole_arm(m, least, scaling, person_speed)
+    for i in range(m.certificates):
+        energy = min(energy, certified(m, least, i, scaling, person_speed))
+    return energy / beta
+
+
+@inlined
+def first_energy_anywhere(
+    m: Mobility, alpha: float, beta: float, mass: float, s: float, person_speed: float, enough: float
+) -> float:
+    """Return `energy_anywhere`, computing its certificates until the bound is at most `enough`."""
+    if m.hull == HULL_MASS or beta <= 0.0:
+        return energy_anywhere(m, alpha, beta, mass, s, person_speed)
+    scaling = s / math.sqrt(m.square)
+    return hull_energy(m, least_of(m, alpha, beta), scaling, person_speed, enough * beta) / beta

@@ -25,6 +25,7 @@ MIN_NORMAL_COMPONENT = 0.1
 MAX_JOINTS = 16
 """Largest number of joints; fixed, so that the functions are compiled once for all robots."""
 MAX_SUPPORTS = STEPS + 1
+MAX_CERTIFICATES = 2 * STEPS + 1
 HULL_NONE, HULL_MASS, HULL_KNOWN = 0, 1, 2
 """What a mobility has of a hull: nothing, a mass that is the same everywhere, or the mobility of the link."""
 MAX_MOBILITIES = 5
@@ -144,7 +145,7 @@ class Mobility:
     opposites, too. `shown`, `opposed` (`held`), `error` and `error_root` are its `Acceleration`, and `heaviest` the
     largest effective mass; if it `is_scalar`, `speed_rate` counts in place of the vectors.
 
-    `hull` to `forces` (scratch from `support` on) are of the hull of a link: the contact counts at `vertex`, the
+    `hull` to `own_roots` (scratch from `support` on) are of the hull of a link: the contact counts at `vertex`, the
     `square` of whose speed is that of the fastest over `speed_ratio`.
     """
 
@@ -187,6 +188,10 @@ class Mobility:
     forces: Annotated[FloatArray, (MAX_SUPPORTS, 3)]
     rows: Annotated[FloatArray, (6, 9)]
     met_roots: Annotated[FloatArray, (MAX_VERTICES,)]
+    certificates: int
+    of_arm: Annotated[FloatArray, (MAX_CERTIFICATES,)]
+    fastest: Annotated[FloatArray, (MAX_CERTIFICATES,)]
+    own_roots: Annotated[FloatArray, (MAX_CERTIFICATES, MAX_VERTICES)]
 
 
 @dataclass

@@ -9,10 +9,13 @@ from typing import NamedTuple
 
 from scara_effmass.iso15066.drives import MAX_MOBILITY
 from scara_effmass.kernel.acceleration import acceleration_time, error_root, gain, max_rate, rates_along
-from scara_effmass.kernel.hull import person_ratio, worst_reduced_mass
+from scara_effmass.kernel.hull import energy_anywhere, first_energy_anywhere, worst_reduced_mass
 from scara_effmass.kernel.jit import inlined
 from scara_effmass.kernel.mobility import inverse, point_reduced_mass
 from scara_effmass.kernel.person import (
+    MAX_ROUNDS,
+    ROUNDED,
+    Meeting,
     Person,
     energy_at,
     energy_with,
@@ -52,6 +55,14 @@ class Drives(NamedTuple):
     min_mobility: float
     max_force: float
     has_push: bool
+
+
+class Line(NamedTuple):
+    """Line of the drives for masses without their uncertainty, `mass_factor`."""
+
+    alpha: float
+    beta: float
+    mass_factor: float
 
 
 is_below = inlined(reference.is_below)
@@ -317,6 +328,40 @@ def governing_case(
 
 
 @inlined
+def ratio_at(meeting: Meeting, m: Mobility, line: Line, s: float) -> float:
+    """Return a bound of the force anywhere on a link over that at its vertex, at the speed `s`."""
+    at_vertex = energy_with(energy_at(meeting, s), s) / line.mass_factor
+    mass = meeting.heaviest / line.mass_factor
+    return math.sqrt(max(1.0, energy_anywhere(m, line.alpha, line.beta, mass, s, meeting.person_speed) / at_vertex))
+
+
+@inlined
+def max_link_speed(meeting: Meeting, m: Mobility, line: Line, root: float) -> float:
+    """Return `max_speed` of a point whose whole link has up to `ratio_at` times its root.
+
+    By the Illinois method; what it returns is never above the limit.
+    """
+    slow, fast, at_rest = 0.0, max_speed(meeting, root) + meeting.gain, ratio_at(meeting, m, line, 0.0)
+    below = root - at_rest * present_root(meeting, -meeting.gain)
+    if below < 0.0:
+        return max_speed(meeting, root / at_rest)
+    speed, above, last = fast, 0.0, 0.0
+    for _ in range(MAX_ROUNDS):
+        excess = ratio_at(meeting, m, line, speed) * present_root(meeting, speed - meeting.gain) - root
+        if excess <= 0.0:
+            slow, below = speed, -excess
+            above *= 0.5 if last < 0.0 else 1.0
+        else:
+            fast, above = speed, excess
+            below *= 0.5 if last > 0.0 else 1.0
+        last = excess
+        if fast - slow <= ROUNDED * fast or -ROUNDED * root <= excess <= 0.0:
+            break
+        speed = slow + (fast - slow) * below / (below + above)
+    return slow - meeting.gain
+
+
+@inlined
 def person_line_bound(
     case: Case,
     p: Principal,
@@ -331,22 +376,32 @@ def person_line_bound(
 
     It bounds nothing if it allows the speed `least` [m/s] anyway.
     """
-    alpha, beta = line
-    meeting, limit, enough = meeting_of(case, p, setup.mass_factor, alpha, beta, person, math.inf), rate**-0.5, 0.0
+    alpha, beta, factor = setup.mass_factor * line[0], line[1], setup.mass_factor
+    meeting, limit = meeting_of(case, p, factor, line[0], beta, person, math.inf), rate**-0.5
+    enough = slow = 0.0
     if math.isfinite(least):
-        enough = limit / present_root(meeting, max(least, -meeting.gain))
-    ratio, factor = 1.0, setup.mass_factor
-    if m.hull != HULL_NONE and meeting.heaviest < math.inf:
-        speed, moving = math.sqrt(m.square), person.speed
-        at_vertex = energy_with(energy_at(meeting, speed), speed) / factor
-        if case.obstacle_mobility == 0.0:  # of a clamped body part the robot's share of the energy decides
-            at_vertex, moving = point_reduced_mass(m, factor * alpha, beta) * m.square, 0.0
-        ratio = person_ratio(m, factor * alpha, beta, moving, at_vertex, enough)
+        slow = max(least + meeting.gain, 0.0)
+        enough = limit / present_root(meeting, slow - meeting.gain)
+    ratio, is_link = 1.0, m.hull != HULL_NONE and meeting.heaviest < math.inf
+    is_clamped = case.obstacle_mobility == 0.0
+    if is_link:
+        mass, moving = meeting.heaviest / factor, person.speed
+        at_vertex = energy_with(energy_at(meeting, slow), slow) / factor
+        if is_clamped:  # the robot's share of the energy decides, at any speed
+            at_vertex = mass = point_reduced_mass(m, alpha, beta)
+            slow, moving = 1.0, 0.0
+        energy = first_energy_anywhere(m, alpha, beta, mass, slow, moving, enough * enough * at_vertex)
+        ratio = math.sqrt(max(1.0, energy / at_vertex))
     if ratio <= enough:
         return NO_BOUND
-    speed = max_speed(meeting, limit / ratio)
+    if is_link and not is_clamped:
+        of_line = Line(alpha, beta, factor)
+        speed = max_link_speed(meeting, m, of_line, limit)
+        ratio = ratio_at(meeting, m, of_line, person.robot_speed + meeting.gain)
+    else:
+        speed = max_speed(meeting, limit / ratio)
     if meeting.heaviest > setup.mass_cap:
-        meeting = meeting_of(case, p, setup.mass_factor, alpha, beta, person, setup.mass_cap)
+        meeting = meeting_of(case, p, factor, line[0], beta, person, setup.mass_cap)
     return Bound(speed, person_mass(meeting), 0.0, 0.0, ratio * present_root(meeting, person.robot_speed), 0.0)
 
 

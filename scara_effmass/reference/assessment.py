@@ -320,7 +320,20 @@ class ContactAssessor:
 
     def _any_normal(self, model: DecidingModel) -> Mobility:
         """Return the mobility of `model` for any contact normal: at rest that of the worst direction."""
-        return Mobility.of_mass(model.worst_mass, X_AXIS) if self.direction is None else model.mobility
+        if self.direction is not None:
+            return model.mobility
+        return Mobility.of_mass(self._worst_mass_at_rest(model.mobility), X_AXIS)
+
+    def _worst_mass_at_rest(self, mobility: Mobility) -> float:
+        """Return the largest mass [kg] over all directions, and of a link over all its points.
+
+        Where a link cannot move in every direction, its points have no largest mass. Against a clamped body part the
+        bound is too far above it. Both count at the vertex.
+        """
+        is_bounded = self.contact.rank == len(X_AXIS) and self.settings.contact is not ContactType.QUASI_STATIC
+        if mobility.hull is None or not is_bounded:
+            return mobility.worst_mass
+        return max(mobility.worst_mass, mobility.hull.worst_mass(hull_mobility(self.cases)))
 
     def _at_normal(self, mobility: Mobility) -> Mobility:
         """Return `mobility` for the contact normal of the settings."""
@@ -329,7 +342,8 @@ class ContactAssessor:
             return mobility.along(self._fixed_normal, min_speed, either_way=either_way)
         if self.direction is None:
             is_anywhere = self.contact.rank == len(X_AXIS)
-            found = (Mobility.of_any_direction if is_anywhere else Mobility.of_mass)(mobility.worst_mass, X_AXIS)
+            mass = self._worst_mass_at_rest(mobility)
+            found = (Mobility.of_any_direction if is_anywhere else Mobility.of_mass)(mass, X_AXIS)
         elif self.settings.contact_normal == "velocity":  # of the first touch, as in the paper and the standard
             found = Mobility.of_mass(mobility.effective_mass(self.direction), self.direction)
         else:

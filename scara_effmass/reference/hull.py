@@ -18,12 +18,20 @@ the person's motion, so it is at most the sum of two norms: at vertex i, that of
 the largest eigenvalue of X^T M X + m_H (1 - J_i X)^T (1 - J_i X), the mass that a person meets there. X is the motion
 after a contact with a rigid body, of the person's mass spread evenly over the vertices, that has the velocity u. With
 X = 0, the person only adds |u| to the speeds |v_i(x)|; the smaller one of both bounds counts.
+
+The same x and X hold at every speed of the same motion: at c qd they are c x + X u, so energy and root follow from
+those at qd, scaled. Every such bound grows with c and with |u|, and so does the least of them: a speed that keeps a
+limit leaves every lower one within it. The steps look at the robot alone, so that the weights depend on neither.
+
+At rest the direction of the motion is unknown: all that a point has is a speed, at most that of the fastest vertex. A
+person meets the mass 1 / (s + a) along the direction of the least mobility a of a point, so a is at least that of the
+largest mass that a person meets at a vertex, less s.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -85,38 +93,47 @@ class Hull:
             return self
         return replace(self, mobility=self.mobility / factor, energy_of_arm=factor * self.energy_of_arm)
 
-    def energy(self, s: float, person_speed: float = 0.0) -> float:
-        """Return a bound of v^T (s 1 + A)^-1 v [kg m2/s2] of every point, `s` above 0 [1/kg]."""
-        mobility, twist, maps = np.asarray(self.mobility), self.twist, self.maps
+    def energy_anywhere(self, alpha: float, beta: float, mass: float, least: float) -> Callable[[float, float], float]:
+        """Return a bound of w^T (alpha 1 + beta A)^-1 w of every point, for a person in any direction.
 
-        def evaluate(support: list[int], weights: FloatArray) -> tuple[FloatArray, float, float]:
-            """Return the squares of the speeds |T_i x|, the excess of the largest over their mean, and the bound."""
+        It takes the speed of `vertex` and that of the person [m/s]. The `mass` [kg] is that of a robot whose mass is
+        the same everywhere. alpha / beta counts as at least `least` [1/kg].
+        """
+        if self.mobility is not None and beta > 0.0:
+            energy, present = self.energy(max(alpha / beta, least)), math.sqrt(self.square)
+            return lambda speed, person_speed: energy.at(speed / present, person_speed) / beta
+        faster = math.sqrt(self.speed_ratio)
+        return lambda speed, person_speed: mass * (faster * speed + person_speed) ** 2
+
+    def energy(self, s: float) -> HullEnergy:
+        """Return the bound of v^T (s 1 + A)^-1 v [kg m2/s2] of every point, `s` above 0 [1/kg]."""
+        mobility, twist, maps = np.asarray(self.mobility), self.twist, self.maps
+        found = HullEnergy(self, s, [], [])
+
+        def evaluate(support: list[int], weights: FloatArray) -> tuple[FloatArray, float]:
+            """Return the squares of the speeds |T_i x|, and the excess of the largest over their mean."""
             t_w = (np.sqrt(weights)[:, None, None] * maps[support]).reshape(-1, 6)
             h = t_w.T @ np.linalg.solve(s * np.eye(len(t_w)) + t_w @ mobility @ t_w.T, t_w @ twist)
             given = mobility @ h
             squares = np.sum((maps @ (twist - given)) ** 2, axis=1)
-            speed = math.sqrt(squares.max()) + person_speed
-            excess = float(squares.max() - weights @ squares[support])
-            roots = np.sqrt(h @ given + squares / s) + person_roots
-            return squares, excess, min(float(h @ given) + speed * speed / s, float(roots.max()) ** 2)
+            found.of_arm.append(float(h @ given))
+            found.squares.append(squares)
+            return squares, float(squares.max() - weights @ squares[support])
 
-        person_roots = person_speed * np.sqrt(self.met_masses(s)) if person_speed > 0.0 else np.zeros(len(maps))
         support, weights = [self.vertex], np.ones(1)
-        squares, excess, bound = evaluate(support, weights)
-        least = min(bound, scaled_energy(self.energy_of_arm, s, math.sqrt(self.squares.max()), person_speed))
+        squares, excess = evaluate(support, weights)
         for _ in range(STEPS):
-            if not excess > MAX_GAP * s * least:
+            if not excess > MAX_GAP * s * found.at(1.0):
                 break
             i, start, slope, t = farthest(squares), weights, excess, FIRST_TRIAL
             support = [*support, i]
             for _ in range(2):
                 weights = np.append((1.0 - t) * start, t)
-                squares, excess, bound = evaluate(support, weights)
-                least = min(least, bound)
-                if not excess > MAX_GAP * s * least:
+                squares, excess = evaluate(support, weights)
+                if not excess > MAX_GAP * s * found.at(1.0):
                     break
                 t = second_trial(slope, float(squares[i] - start @ squares[support[:-1]]))
-        return least
+        return found
 
     def met_masses(self, s: float) -> FloatArray:
         """Return a bound (V,) [kg] of the mass that a velocity of a person meets at each vertex, in any direction."""
@@ -126,6 +143,41 @@ class Hull:
         rests = np.eye(3) - maps @ (mobility @ h)
         masses: FloatArray = np.linalg.eigvalsh(h.T @ mobility @ h + rests.transpose(0, 2, 1) @ rests / s)[:, -1]
         return masses
+
+    def worst_mass(self, s: float) -> float:
+        """Return a bound [kg] of the largest effective mass of every point and direction, tightest for 1/m_H = s."""
+        mobility = 1.0 / float(self.met_masses(s).max()) - s
+        return 1.0 / mobility if mobility > 0.0 else math.inf
+
+
+@dataclass(frozen=True, eq=False)
+class HullEnergy:
+    """Bound of v^T (s 1 + A)^-1 v [kg m2/s2] over a `hull`, at every speed of its motion.
+
+    Of each motion x that proves one: h^T B h `of_arm` [kg m2/s2], and the `squares` (V,) of |v_i(x)| [m2/s2].
+    """
+
+    hull: Hull
+    s: float
+    of_arm: list[float]
+    squares: list[FloatArray]
+
+    @cached_property
+    def met_roots(self) -> FloatArray:
+        """Roots (V,) of `Hull.met_masses`."""
+        return np.sqrt(self.hull.met_masses(self.s))
+
+    def at(self, scale: float, person_speed: float = 0.0) -> float:
+        """Return the bound at `scale` times the motion of the hull, for a person in any direction."""
+        fastest = math.sqrt(self.hull.squares.max())
+        least = scaled_energy(self.hull.energy_of_arm, self.s, scale, fastest, person_speed)
+        for of_arm, squares in zip(self.of_arm, self.squares, strict=True):
+            speed = scale * math.sqrt(squares.max()) + person_speed
+            least = min(least, scale * scale * of_arm + speed * speed / self.s)
+            if person_speed > 0.0:
+                roots = scale * np.sqrt(of_arm + squares / self.s) + person_speed * self.met_roots
+                least = min(least, float(roots.max()) ** 2)
+        return least
 
 
 def hull_mobility(cases: Sequence[ContactCase]) -> float:
@@ -137,11 +189,15 @@ def hull_mobility(cases: Sequence[ContactCase]) -> float:
     return max(weakest.obstacle_mobility, MIN_MOBILITY)
 
 
-def scaled_energy(energy_of_arm: float, s: float, speed: float, person_speed: float) -> float:
-    """Return the least bound of x = t qd: contacts that slow down all of the arm, a link of it from `speed` [m/s]."""
-    t = max(0.0, (energy_of_arm - speed * person_speed / s) / (energy_of_arm + speed * speed / s))
-    rest = t * speed + person_speed
-    return (1.0 - t) * (1.0 - t) * energy_of_arm + rest * rest / s
+def scaled_energy(energy_of_arm: float, s: float, scale: float, speed: float, person_speed: float) -> float:
+    """Return the least bound of x = t c qd, c the `scale`: contacts that slow down all of the arm.
+
+    `speed` [m/s] is that of a link of it at qd.
+    """
+    slope = scale * energy_of_arm - speed * person_speed / s
+    t = slope / (scale * (energy_of_arm + speed * speed / s)) if slope > 0.0 else 0.0
+    rest, lost = t * scale * speed + person_speed, (1.0 - t) * scale
+    return lost * lost * energy_of_arm + rest * rest / s
 
 
 def second_trial(at_start: float, slope: float) -> float:

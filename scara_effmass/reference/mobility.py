@@ -7,6 +7,7 @@ Vectors are (3,) and matrices (3, 3), in base axes, but for `Mobility.values` (r
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -203,25 +204,13 @@ class Mobility:
         The energy anywhere on the link counts with the speed of the point that stands for it.
         """
         point = self.point_reduced_mass(alpha, beta)
-        if self.hull is None or point == math.inf:
-            return point
-        if self.hull.mobility is None or beta <= 0.0:
-            return point * self.hull.speed_ratio
-        energy = self.hull.energy(max(alpha / beta, CLAMPED_TOLERANCE * self.trace))
-        return max(point, energy / (beta * self.hull.square))
+        anywhere = None if point == math.inf else self.energy_anywhere(alpha, beta)
+        return point if anywhere is None else max(point, anywhere(1.0, 0.0))
 
-    def person_ratio(self, alpha: float, beta: float, person_speed: float, at_point: float) -> float:
-        """Return a bound of the force anywhere on a link over that of the point, for a person in any direction.
-
-        It holds at the present speed, where w^T (alpha 1 + beta A)^-1 w of the point is `at_point`.
-        """
-        if self.hull is None:
-            return 1.0
-        speed = math.sqrt(self.hull.square)
-        if self.hull.mobility is None or beta <= 0.0:
-            return (speed * math.sqrt(self.hull.speed_ratio) + person_speed) / (speed + person_speed)
-        s = max(alpha / beta, CLAMPED_TOLERANCE * self.trace)
-        return math.sqrt(max(1.0, self.hull.energy(s, person_speed) / (beta * at_point)))
+    def energy_anywhere(self, alpha: float, beta: float) -> Callable[[float, float], float] | None:
+        """Return `Hull.energy_anywhere`; None for a point."""
+        floor = CLAMPED_TOLERANCE * self.trace
+        return self.hull and self.hull.energy_anywhere(alpha, beta, self.point_reduced_mass(alpha, beta), floor)
 
     def point_reduced_mass(self, alpha: float, beta: float = 1.0) -> float:
         """Return mu = n^T (alpha I + beta A)^-1 n [kg], that of the worst contact normal.

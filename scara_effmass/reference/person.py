@@ -15,6 +15,7 @@ is negative, robot and person move the same way, and it counts as 0.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,6 +32,10 @@ ROUNDING = 1e-9
 """Relative excess of an upper bound of l, so that rounding does not make it too low."""
 MIN_PERSON_SPEED = 1e-6
 """Speed [m/s] of the slowest person; a slower one counts as that fast, because l grows with s / v_p."""
+
+
+Ratio = Callable[[float], float]
+"""Ratio of two forces at a speed [m/s] of the contact point."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,6 +187,23 @@ class PersonContact:
         """
         return self._max_speed(root - self.root_gain) - self.gain
 
+    def max_link_speed(self, root: float, ratio: Ratio) -> float:
+        """Return that of a point whose whole link has `ratio` times its `root`, at its speed."""
+
+        def excess(fast: float) -> float:
+            """Return by how much the root of the link exceeds the stated one where the point is as fast as it gets."""
+            speed = fast - self.gain
+            return ratio(speed) * self.root(speed) - root
+
+        fastest = self.max_speed(root) + self.gain
+        if excess(0.0) > 0.0:
+            return self.max_speed(root / ratio(-self.gain))
+        if not excess(fastest) > 0.0:
+            return fastest - self.gain
+        from scipy.optimize import brentq  # noqa: PLC0415 - slow, and the kernel does without it
+
+        return float(brentq(excess, 0.0, fastest, xtol=1e-300, rtol=1e-14)) - self.gain
+
     def _max_speed(self, root: float) -> float:
         """Return that of a robot that does not accelerate."""
         at_rest = self.person_mass
@@ -233,18 +255,39 @@ def _growth(
 class PersonSpeedLimit(SpeedLimit):
     """Speed of the contact point alone that a limit allows, and the contact from which it follows.
 
-    The force anywhere on a link is at most `ratio` times that at the point.
+    The force anywhere on a link is at most `ratio` times that at the point; None for a point.
     """
 
     case: ContactCase
     mobility: Mobility
     line: Line
     person: MovingPerson
-    ratio: float
+    ratio: Ratio | None
 
     def _root(self, speed: float, max_mass: float) -> float:
         """Return the force over sqrt(k) without the push at the `speed` [m/s] of the contact point."""
-        return self.ratio * PersonContact.of(self.case, self.mobility, self.line, self.person, max_mass).root(speed)
+        root = PersonContact.of(self.case, self.mobility, self.line, self.person, max_mass).root(speed)
+        return root if self.ratio is None else root * self.ratio(speed)
+
+
+def link_ratio(case: ContactCase, mobility: Mobility, line: Line, contact: PersonContact) -> Ratio | None:
+    """Return the largest force anywhere on a link over that at its point, for a person in any direction.
+
+    It takes the speed [m/s] of the point. Of a clamped body part the robot's share of the energy decides, at any speed.
+    """
+    energy = None if math.isinf(max(contact.masses)) else mobility.energy_anywhere(*line)
+    if energy is None:
+        return None
+    if case.obstacle_mobility == 0.0:
+        ratio = math.sqrt(max(1.0, energy(1.0, 0.0) / mobility.point_reduced_mass(*line)))
+        return lambda _: ratio
+
+    def ratio_at(speed: float) -> float:
+        """Return the ratio where the point is as fast as it gets."""
+        speed += contact.gain
+        return math.sqrt(max(1.0, energy(speed, contact.person_speed) / contact.energy(speed)))
+
+    return ratio_at
 
 
 def person_speed_limit(
@@ -252,14 +295,9 @@ def person_speed_limit(
 ) -> PersonSpeedLimit:
     """Return the speed of the contact point at which the peak reaches `force` [N], for one line of the drives."""
     contact = PersonContact.of(case, mobility, line, person)
-    ratio = 1.0
-    if mobility.hull is not None and not math.isinf(max(contact.masses)):
-        speed = math.sqrt(mobility.hull.square)
-        if case.obstacle_mobility > 0.0:
-            ratio = mobility.person_ratio(*line, person.speed, contact.energy(speed))
-        else:  # of a clamped body part the robot's share of the energy decides
-            ratio = mobility.person_ratio(*line, 0.0, mobility.point_reduced_mass(*line) * speed**2)
-    speed = contact.max_speed(force / (ratio * math.sqrt(case.stiffness)))
+    ratio = link_ratio(case, mobility, line, contact)
+    root = force / math.sqrt(case.stiffness)
+    speed = contact.max_speed(root) if ratio is None else contact.max_link_speed(root, ratio)
     return PersonSpeedLimit(
         speed,
         case.limit,

@@ -116,7 +116,8 @@ class ContactState:
     def at_worst_vertex(self, s: float, threshold: float) -> ContactState:
         """Return the contact at the vertex with the largest v^T (s 1 + A)^-1 v; at rest at that of the largest mass.
 
-        Up to the speed `threshold` [m/s] a vertex is at rest. That only says where the contact counts.
+        Up to the speed `threshold` [m/s] a vertex is at rest. That only says where the contact counts; at rest, the
+        speed is that of the fastest vertex.
         """
         code = next((code for code in (ModelCode.FULL, ModelCode.LUMPED) if code in self.state.mass_matrix), None)
         if self.vertex is None or code is None:
@@ -129,6 +130,8 @@ class ContactState:
             v = jacobians @ self.state.qd
             values = np.sum(v * np.linalg.solve(s * np.eye(3) + mobilities, v[..., None])[..., 0], axis=1)
         worst = ContactState(self.state, self.point, farthest(values))
+        if self.speed < threshold:
+            worst.speed = self.speed
         return self if worst.speed < threshold <= self.speed else worst
 
     def hull(self, mass_matrix: FloatArray | None) -> Hull | None:
@@ -211,7 +214,7 @@ class ContactState:
         turning = self.jacobian_rate - response @ self.state.coriolis[model]
         free, held = turning @ self.state.qd, self.jacobian_rate @ self.state.qd
         found = self._mobility(self.mobilities[model], turning @ response.T, (free, held), n)
-        return replace(found, hull=None if n is None else self.hull(self.state.mass_matrix[model]))
+        return replace(found, hull=self.hull(self.state.mass_matrix[model]))
 
     def held_mobility(self, model: ModelCode, n: FloatArray | None) -> Mobility:
         """Return the mobility J_v D^-1 J_v^T of joints that a controller each holds, D the diagonal of M.
@@ -223,7 +226,7 @@ class ContactState:
         held = self.jacobian_rate @ self.state.qd
         found = self._mobility(response @ self.jacobian.T, turning @ response.T, (held,), n)
         diagonal = np.diag(np.diagonal(self.state.mass_matrix[model]))
-        return replace(found, hull=None if n is None else self.hull(diagonal))
+        return replace(found, hull=self.hull(diagonal))
 
     def _mobility(
         self, matrix: FloatArray, rate: FloatArray, accelerations: tuple[FloatArray, ...], n: FloatArray | None

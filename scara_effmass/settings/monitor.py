@@ -241,7 +241,7 @@ class MonitorSettings(FrozenSettings):
         0.1, "fraction by which the lumped mass may be below the full one: beyond it WARN, and auto takes full"
     )
     speed_threshold: float = tunable(
-        0.005, "speed below which the direction is undefined and the worst one is used [m/s]", gt=0.0, le=1.0
+        0.005, "speed below which the direction is undefined and the worst one is used [m/s]", gt=0.0, le=0.02
     )
     max_acceleration: float = tunable(
         0.0,

@@ -57,8 +57,13 @@ def test_masses_are_those_of_the_closed_form() -> None:
     np.testing.assert_allclose(length, 0.55 * np.abs(np.cos(drawn.q[:, 1] / 2.0)), atol=1e-9)
 
 
-def test_result_does_not_depend_on_the_speed_of_the_motion() -> None:
-    slow, fast = (sample(MonitorSettings(speed_threshold=threshold)) for threshold in (0.005, 0.05))
+@pytest.mark.parametrize("person_speed", [0.0, 0.05])
+def test_result_does_not_depend_on_the_speed_of_the_motion(person_speed: float) -> None:
+    settings = {"contact_points": ("whole_arm",), "contact_links": ("link4",)} if person_speed else {}
+    slow, fast = (
+        sample(MonitorSettings(**settings, person_speed=person_speed, speed_threshold=threshold))
+        for threshold in (0.002, 0.02)
+    )
     same = {tuple(q): row for row, q in enumerate(slow.q.tolist())}
     pairs = [(same[tuple(q)], row) for row, q in enumerate(fast.q.tolist()) if tuple(q) in same]
     assert len(pairs) > 280

@@ -17,7 +17,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from scara_effmass.codes import ModelCode, Reason
-from scara_effmass.iso15066 import MIN_EFFECTIVE_MASS
+from scara_effmass.iso15066 import MIN_EFFECTIVE_MASS, limits_for
 from scara_effmass.iso15066.drives import MAX_MOBILITY
 from scara_effmass.kernel.contact_kernel import ContactKernel
 from scara_effmass.kernel.records import CONTACT, MAX_JOINTS
@@ -25,6 +25,7 @@ from scara_effmass.kernel.state import CODE, STATE
 from scara_effmass.model.load import load_robot
 from scara_effmass.model.robot import Robot
 from scara_effmass.reference import RobotDynamics
+from scara_effmass.reference.pose_state import ContactState
 from scara_effmass.safety import Monitor
 from scara_effmass.safety.second_channel import AGREEMENT, CANCELLED, SINGULAR, ReferenceChannel, is_unbounded
 from scara_effmass.settings import ContactType, Drives, MonitorSettings
@@ -71,7 +72,7 @@ OTHERS = st.fixed_dictionaries(
         "reaction_time": st.sampled_from([0.0, 0.1]),
         "contact_damping": st.sampled_from([0.0, 0.8]),
         "speed_uncertainty": st.sampled_from([0.0, 0.05]),
-        "speed_threshold": st.sampled_from([0.01, 0.5]),
+        "speed_threshold": st.sampled_from([0.001, 0.02]),
         "warn_ratio": st.sampled_from([0.3, 0.8]),
     }
 )
@@ -247,6 +248,83 @@ def test_no_point_of_a_link_allows_less_speed(robot: Path, values: dict[str, Any
         fits = found["body_mass"] == link["body_mass"][:, None]  # of the same body part
         assert fits[moves].any()
         assert (np.where(fits, shares, 0.0).max(axis=1) <= whole_share * (1.0 + 1e-6))[moves].all()
+
+
+def forces_on(link: ContactState, chosen: MonitorSettings, reported: float, iso_mass: float) -> float:
+    """Return the largest force [N] at many points of a link and by many velocities of a person, drives left out."""
+    (limit,) = limits_for(chosen)
+    rng = np.random.default_rng(0)
+    people = rng.normal(size=(100, 3))
+    if chosen.person_direction != (0.0, 0.0, 0.0):
+        people = np.array([chosen.person_direction])
+    people *= chosen.person_speed / np.linalg.norm(people, axis=1, keepdims=True)
+    maps = np.concatenate([link.maps, np.tensordot(rng.dirichlet(np.ones(len(link.maps)), 20), link.maps, 1)])
+    jacobians = maps @ link.link_jacobian
+    mobilities = jacobians @ link.state.inverse_mass_matrix[ModelCode.FULL] @ jacobians.transpose(0, 2, 1)
+    if chosen.effective_mass_model == "iso":
+        mobilities = np.broadcast_to(np.eye(3) / iso_mass, mobilities.shape)
+    if chosen.drives is Drives.IMMOVABLE:
+        mobilities = np.zeros_like(mobilities)
+    matrices = np.linalg.inv(np.eye(3) / limit.body_mass_kg + mobilities)
+    faster = 1.0 + chosen.speed_uncertainty / reported if reported else 1.0
+    w = (faster * (maps @ link.twist))[:, None] + people
+    return math.sqrt(limit.stiffness_n_m * float(np.einsum("pui,pij,puj->pu", w, matrices, w).max()))
+
+
+@pytest.mark.parametrize("robot", ROBOTS[:4], ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"person_speed": 0.1},
+        {"person_speed": 0.25, "speed_uncertainty": 0.2},
+        {"person_speed": 0.2, "drives": "servo"},
+        {"person_speed": 0.2, "drives": "immovable", "person_direction": (1.0, 0.0, 0.0)},
+        {"person_speed": 0.2, "effective_mass_model": "iso", "person_direction": (1.0, 0.0, 0.0)},
+        {"person_speed": 0.2, "person_direction": (1.0, 0.0, 0.0)},
+    ],
+    ids=str,
+)
+def test_allowable_speed_of_a_link_keeps_the_limit_at_that_speed(robot: Path, values: dict[str, Any]) -> None:
+    """At rest, slow, fast, and again at the allowed speed of each link, at many points of the link."""
+    defaults = {"drives": "free", "effective_mass_model": "full", "mass_uncertainty": 0.0, "warn_ratio": 1.0}
+    chosen = settings_of(body_regions=("pelvis",), **defaults | values)
+    whole = with_links(robot, chosen, 4)
+    dynamics = RobotDynamics(whole)
+    motions, names = motions_of(dynamics, 4), [*whole.contact_frames]
+    motions[:, 2:] = 0.0
+    contacts, (limit,) = computed(ContactKernel(dynamics, chosen), dynamics, motions), limits_for(chosen)
+    for number, name in enumerate(names):
+        if name not in whole.hulls:
+            continue
+        first, repeated = contacts[:, number], motions.copy()
+        scales = (first["worst_direction_used"] == 0.0) & (first["allowable_speed"] > 2.0 * chosen.speed_threshold)
+        repeated[scales, 1] *= 0.999 * first["allowable_speed"][scales, None] / first["speed"][scales, None]
+        again = computed(ContactKernel(dynamics, chosen), dynamics, repeated)[:, number]
+        # A vertex slower than the threshold does not count: the link counts elsewhere from another speed on.
+        same = scales & (again["position_in_link"] == first["position_in_link"]).all(axis=1)
+        assert same.any()
+        np.testing.assert_allclose(again["allowable_speed"][same], first["allowable_speed"][same], LINKS)
+        assert (again["verdict"][same] != Verdict.VIOLATION).all()
+        for motion, contact, scaled in zip(repeated, again, scales, strict=True):
+            link = dynamics.at(motion[0], motion[1]).contacts[number]
+            force = forces_on(link, chosen, float(contact["speed"]), whole.iso_mass)
+            assert force <= contact["force_bound"] * (1.0 + 1e-6) or contact["mass_capped"]
+            if scaled or contact["verdict"] != Verdict.VIOLATION:
+                assert force <= limit.permissible_force_n * (1.0 + 1e-6)
+
+
+@pytest.mark.parametrize(
+    ("drives", "slowest"), [("free", 0.0), ("servo", 1e-4)]
+)  # lines of a servo: one for nobody, the best for a person
+def test_allowable_speed_of_a_link_never_rises_with_the_speed_of_the_person(drives: str, slowest: float) -> None:
+    (path,) = (path for path in ROBOTS if path.stem == "panda")
+    dynamics = RobotDynamics(with_links(path, settings_of(), 4))
+    motions, allowed = motions_of(dynamics, 4), []
+    motions[:, 2:] = 0.0
+    for speed in (slowest, 0.001, 0.02, 0.1, 0.4):
+        chosen = settings_of(drives=drives, person_speed=speed)
+        allowed.append(computed(ContactKernel(dynamics, chosen), dynamics, motions)["allowable_speed"])
+    assert (np.diff(allowed, axis=0) <= 1e-6).all()
 
 
 @pytest.mark.parametrize("robot", ROBOTS[:4], ids=lambda path: path.stem)

@@ -34,7 +34,7 @@ def point_energy(hull: Hull, r: FloatArray, s: float) -> float:
 @given(st.integers(0, 2**32 - 1), st.integers(1, 7), st.integers(1, 16), MASSES)
 def test_no_point_of_the_hull_has_more_energy(seed: int, joints: int, vertices: int, mass: float) -> None:
     hull = link(seed, joints, vertices)
-    bound = hull.energy(1.0 / mass)
+    bound = hull.energy(1.0 / mass).at(1.0)
     weights = np.random.default_rng(seed).dirichlet(np.ones(vertices), 200)
     points = np.vstack([hull.vertices, weights @ hull.vertices])
     assert max(point_energy(hull, r, 1.0 / mass) for r in points) <= bound * (1.0 + 1e-9)
@@ -44,28 +44,38 @@ def test_no_point_of_the_hull_has_more_energy(seed: int, joints: int, vertices: 
 def test_of_one_point_it_is_the_energy(seed: int, joints: int, mass: float) -> None:
     hull = link(seed, joints, 1)
     expected = point_energy(hull, hull.vertices[0], 1.0 / mass)
-    assert hull.energy(1.0 / mass) == pytest.approx(expected, rel=1e-6)
+    assert hull.energy(1.0 / mass).at(1.0) == pytest.approx(expected, rel=1e-6)
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 7), st.integers(1, 16), MASSES)
 def test_it_is_no_more_than_the_energy_of_the_arm(seed: int, joints: int, vertices: int, mass: float) -> None:
     hull = link(seed, joints, vertices)
-    assert hull.energy(1.0 / mass) <= hull.energy_of_arm
+    assert hull.energy(1.0 / mass).at(1.0) <= hull.energy_of_arm
 
 
-@given(st.integers(0, 2**32 - 1), st.integers(1, 7), st.integers(1, 16), st.sampled_from([0.0, 0.3, 1.6]))
-def test_a_person_in_any_direction_is_within_the_bound(seed: int, joints: int, vertices: int, speed: float) -> None:
+@given(
+    st.integers(0, 2**32 - 1),
+    st.integers(1, 7),
+    st.integers(1, 16),
+    st.sampled_from([0.0, 0.3, 1.6]),
+    st.sampled_from([0.0, 0.1, 1.0, 8.0]),
+)
+def test_a_person_in_any_direction_is_within_the_bound_at_every_speed(
+    seed: int, joints: int, vertices: int, speed: float, scale: float
+) -> None:
     hull = link(seed, joints, vertices)
     rng, s = np.random.default_rng(seed), 0.2
-    bound = hull.energy(s, speed)
+    energy = hull.energy(s)
+    bound = energy.at(scale, speed)
+    assert bound <= min(energy.at(scale + 0.01, speed), energy.at(scale, speed + 0.01)) * (1.0 + 1e-12)
     for r in [*hull.vertices, *(rng.dirichlet(np.ones(vertices), 20) @ hull.vertices)]:
         t = np.hstack([np.eye(3), -pin.skew(r)])
         matrix = np.linalg.inv(s * np.eye(3) + t @ np.asarray(hull.mobility) @ t.T)
         directions = rng.normal(size=(50, 3))
-        closing = t @ hull.twist + speed * directions / np.linalg.norm(directions, axis=1, keepdims=True)
+        closing = scale * (t @ hull.twist) + speed * directions / np.linalg.norm(directions, axis=1, keepdims=True)
         assert np.einsum("ni,ij,nj->n", closing, matrix, closing).max() <= bound * (1.0 + 1e-9)
 
 
 def test_masses_scale_the_energy() -> None:
     hull = link(3, 6, 8)
-    assert hull.with_masses(2.0).energy(0.1) == pytest.approx(2.0 * hull.energy(0.2), rel=1e-9)
+    assert hull.with_masses(2.0).energy(0.1).at(1.0) == pytest.approx(2.0 * hull.energy(0.2).at(1.0), rel=1e-9)
