@@ -240,6 +240,7 @@ def test_values_are_read_as_ros_reads_them(folder: Path) -> None:
         ("contact_area_m2: 0.0", "contact_area_m2 = 0.0: must be greater than 0"),
         ("contact_area: 2.0", "contact_area: unknown: must be contact_area_m2 or contact_areas$"),
         ("contact_area_m2: 2.0", r"contact_area_m2 = 2.0: must be less than or equal to 0\.1$"),
+        ("speed_threshold: 0.03", r"speed_threshold = 0.03: must be less than or equal to 0\.02$"),
     ],
 )
 def test_parameter_file_of_a_command_obeys_the_types_of_ros(folder: Path, line: str, message: str) -> None:
