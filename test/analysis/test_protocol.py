@@ -810,3 +810,14 @@ def test_a_contact_on_a_load_includes_it(
     assert item.transient_peak_n == pytest.approx(plain.transient_peak_n + 50.0, abs=1.0)
     assert item.force_beyond_0_5_s_n == pytest.approx(50.0, abs=1.0)
     assert item.duration_s == plain.duration_s
+
+
+def test_the_force_is_that_along_the_normal_of_the_plate(
+    campaign: list[Path], dynamics: RobotDynamics, device_settings: ValidationSettings, altered: Altered
+) -> None:
+    """A sensor at 60 degrees to it measures half of the force."""
+    along = {"plate_normal": (1.0, 0.0, 0.0), "guide_direction": (0.5, math.sqrt(0.75), 0.0)}
+    (plain,) = entered(validate(campaign[:1], dynamics, device_settings))
+    (item,) = entered(validate([altered(campaign[0], info=along)], dynamics, device_settings))
+    assert plain.transient_peak_n
+    assert item.transient_peak_n == pytest.approx(2.0 * plain.transient_peak_n, rel=1e-4)
