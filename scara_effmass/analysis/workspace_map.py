@@ -37,8 +37,9 @@ CELLS = 40
 """Approximate number of cells along the longer side of a map."""
 TOGETHER = 4_096
 """Configurations in one step: their Jacobians stay in the caches."""
-SPEED_RATIO = 2.0
-"""Speed of the motion over the `speed_threshold`; masses and allowable speed of what moves faster do not depend on it."""
+SPEED_RATIO = 10.0
+"""Speed of the motion over the `speed_threshold`. Only of slower contacts, which count as at rest, do masses and
+allowable speed depend on it."""
 DAMPING = 1e-14
 """Share of J J^T that is added to it: well above its rounding, and too little to matter where joints move slowly."""
 PLANE_STEPS, PLANE_TOLERANCE_M = 19, 1e-4

@@ -237,6 +237,7 @@ def place_on_link(point: Point, setup: Setup, work: Work) -> int:
     work.fastest_square = fastest_square(point, work)
     is_moving = work.fastest_square >= threshold
     vertex = worst_vertex(first, point.hull_mobility, is_moving, point, work)
+    work.worst_vertex = vertex
     twist = motion_at(work.velocities, point.joint)
     if is_moving and square_at(twist, vector_at(work.vertices, vertex)) < threshold:
         return worst_vertex(-1, 0.0, is_moving, point, work)  # the fastest
@@ -262,7 +263,7 @@ def set_hull(out: Mobility, kind: int, k: int, approach: Approach, point: Point,
         return
     twist = motion_at(work.velocities, point.joint)
     square = approach.speed * approach.speed
-    out.hull, out.vertex, out.square = kind, approach.vertex, square
+    out.hull, out.vertex, out.square = kind, work.worst_vertex, square
     out.speed_ratio = max(1.0, work.fastest_square / square)
     if kind == HULL_KNOWN:
         out.energy_of_arm = work.energies[k]
@@ -392,7 +393,7 @@ def mean_square(m: Mobility, x: Motion, weights: FloatArray, count: int) -> floa
 def certified(m: Mobility, s: float, i: int, scaling: float, person_speed: float) -> float:
     """Return the bound that the motion `i` proves, at `scaling` times the motion of the link."""
     speed = scaling * m.fastest[i] + person_speed
-    bound = scaling * scaling * m.of_arm[i] + speed * speed / s
+    bound: float = scaling * scaling * m.of_arm[i] + speed * speed / s
     if person_speed > 0.0:
         root = 0.0
         for j in range(m.vertex_count):

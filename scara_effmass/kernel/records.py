@@ -145,8 +145,8 @@ class Mobility:
     opposites, too. `shown`, `opposed` (`held`), `error` and `error_root` are its `Acceleration`, and `heaviest` the
     largest effective mass; if it `is_scalar`, `speed_rate` counts in place of the vectors.
 
-    `hull` to `own_roots` (scratch from `support` on) are of the hull of a link: the contact counts at `vertex`, the
-    `square` of whose speed is that of the fastest over `speed_ratio`.
+    `hull` to `own_roots` (scratch from `support` on) are of the hull of a link: the steps begin at `vertex`, and the
+    `square` of the speed of the contact is that of the fastest one over `speed_ratio`.
     """
 
     along: float
@@ -229,8 +229,8 @@ class Work:
     """Intermediate results of one joint state, of both models where the first dimension is 2.
 
     `jacobian`, its rate, and what M makes of it have one row per joint, up to that of the contact point. `twists`,
-    `twist_mobility`, `energies` (both models, free and held) and the `fastest_square` of the speeds of its vertices are
-    of the link that is assessed as a whole.
+    `twist_mobility`, `energies` (both models, free and held), the `fastest_square` of the speeds of its vertices and
+    its `worst_vertex` are of the link that is assessed as a whole.
     """
 
     qd: PerJoint
@@ -258,6 +258,7 @@ class Work:
     energies: Annotated[FloatArray, (4,)]
     vertices: Annotated[FloatArray, (MAX_VERTICES, 3)]
     fastest_square: float
+    worst_vertex: int
     responses: Columns3
     masses: Vector
     worst: Vector

@@ -58,7 +58,8 @@ class Hull:
 
     `twist` (6,) is linear, then angular, `mobility` B (6, 6) that of the link in one mass model, both about that place;
     None for a mass that is the same everywhere. `vertex` is that at which the contact counts, which must move.
-    `energy_of_arm` [J] is the least x^T M x of joint velocities x that move the link in this way.
+    `energy_of_arm` [J] is the least x^T M x of joint velocities x that move the link in this way. The steps begin at
+    the vertex `first`.
     """
 
     vertices: FloatArray
@@ -66,6 +67,7 @@ class Hull:
     vertex: int
     mobility: FloatArray | None = None
     energy_of_arm: float = math.inf
+    first: int = 0
 
     @cached_property
     def maps(self) -> FloatArray:
@@ -120,7 +122,7 @@ class Hull:
             found.squares.append(squares)
             return squares, float(squares.max() - weights @ squares[support])
 
-        support, weights = [self.vertex], np.ones(1)
+        support, weights = [self.first], np.ones(1)
         squares, excess = evaluate(support, weights)
         for _ in range(STEPS):
             if not excess > MAX_GAP * s * found.at(1.0):

@@ -210,7 +210,9 @@ class Mobility:
     def energy_anywhere(self, alpha: float, beta: float) -> Callable[[float, float], float] | None:
         """Return `Hull.energy_anywhere`; None for a point."""
         floor = CLAMPED_TOLERANCE * self.trace
-        return self.hull and self.hull.energy_anywhere(alpha, beta, self.point_reduced_mass(alpha, beta), floor)
+        if self.hull is None:
+            return None
+        return self.hull.energy_anywhere(alpha, beta, self.point_reduced_mass(alpha, beta), floor)
 
     def point_reduced_mass(self, alpha: float, beta: float = 1.0) -> float:
         """Return mu = n^T (alpha I + beta A)^-1 n [kg], that of the worst contact normal.

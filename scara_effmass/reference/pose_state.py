@@ -99,6 +99,7 @@ class ContactState:
         self.vertex = vertex
         if vertex is None and len(self.vertices):
             self.vertex = farthest(np.sum((self.maps @ self.twist) ** 2, axis=1))
+        self.worst_vertex = self.vertex or 0
         lever = pose.rotation @ frame.placement.translation if self.vertex is None else self.vertices[self.vertex]
         (to_point,) = point_maps(lever[None])
         self.jacobian: FloatArray = to_point @ self.link_jacobian
@@ -132,7 +133,10 @@ class ContactState:
         worst = ContactState(self.state, self.point, farthest(values))
         if self.speed < threshold:
             worst.speed = self.speed
-        return self if worst.speed < threshold <= self.speed else worst
+        elif worst.speed < threshold:
+            self.worst_vertex = worst.worst_vertex
+            return self
+        return worst
 
     def hull(self, mass_matrix: FloatArray | None) -> Hull | None:
         """Return the hull of a link with these masses (n, n), None for one mass everywhere; None for a point."""
@@ -144,7 +148,7 @@ class ContactState:
         mobility = self.link_jacobian @ inverse @ self.link_jacobian.T
         # The joints beyond the link may move as it costs the least energy: of M^-1 only the first n rows count.
         energy = float(self.state.qd[:n] @ np.linalg.solve(inverse[:n, :n], self.state.qd[:n]))
-        return Hull(self.vertices, self.twist, self.vertex, mobility, energy)
+        return Hull(self.vertices, self.twist, self.vertex, mobility, energy, self.worst_vertex)
 
     @cached_property
     def smallest_singular_value(self) -> float:
