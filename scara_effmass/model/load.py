@@ -33,6 +33,9 @@ from scara_effmass.settings.loading import nearest
 MAX_MOVING_JOINTS = 64
 """Largest number of joints of a model; the memory of its dynamics grows with its cube, 300 joints take 2.6 GB."""
 
+MAX_GYRATION_M = 2.0
+"""Largest radius of gyration of a payload, as of the distance of its centre of mass."""
+
 
 class RobotFormat(Protocol):
     """Loader of one file format."""
@@ -216,6 +219,8 @@ def _add_payload(model: pin.Model, stated: RobotDescription, settings: MonitorSe
         problem = problem or triangle_error(load)
     except ValueError as error:
         problem = str(error)
+    if not problem and np.linalg.norm(load.inertia, 2) > MAX_GYRATION_M**2 * load.mass:
+        problem = f"must be of a radius of gyration of at most {MAX_GYRATION_M:g} m"
     if problem:
         raise RobotError(f"payload_inertia = {list(settings.payload_inertia)}: {problem}")
     if not load.mass:

@@ -169,6 +169,7 @@ def test_payload_of_the_settings_equals_that_of_the_file(tmp_path: Path, seed: i
         (2.0, (0.1, 0.1, 0.3, 0.0, 0.0, 0.0), "violate the triangle inequality"),
         (2.0, (0.1, 0.1, 0.1, 0.3, 0.0, 0.0), "must not be negative"),
         (0.0, (0.1, 0.1, 0.1, 0.0, 0.0, 0.0), "must be 0 without payload_mass"),
+        (1e-9, (1.0, 1.0, 1.0, 0.0, 0.0, 0.0), "must be of a radius of gyration of at most 2 m"),
     ],
 )
 def test_impossible_payload_is_refused(mass: float, inertia: tuple[float, ...], problem: str, omron_file: Path) -> None:
