@@ -136,11 +136,11 @@ def test_geometry_in_millimetres_is_refused(arm: Path) -> None:
     )
 
 
-@pytest.mark.parametrize(("x", "distance"), [("0.55", ""), ("-0.65", "0.4")])
+@pytest.mark.parametrize(("x", "distance"), [("0.55", ""), ("-0.75", "0.5")])
 def test_geometry_far_from_its_link_is_doubted(arm: Path, x: str, distance: str) -> None:
     arm.write_text(arm.read_text(encoding="utf-8").replace('xyz="0.1 0 0"', f'xyz="{x} 0 0"'))
     doubts = [note for note in load_robot(arm).notes if note.startswith("check the geometry")]
-    text = f"check the geometry of forearm: {distance} m from the frame of the link, reach 0.5 m"
+    text = f"check the geometry of forearm: {distance} m from the frame of the link, reach 0.65 m"
     assert doubts == ([text] if distance else [])
 
 
