@@ -405,7 +405,7 @@ class RefusedImpact(NamedTuple):
     `excluded`: because of the impact itself; otherwise it could not be matched with the robot's state. `reason` is the
     category by which such impacts are counted, `detail` describes this one and may be empty. `speed` [m/s] is that of a
     press at its onset, 0 if it is not known. `peak_force` is that above the `load_force` of an earlier contact, which
-    `held_force` includes.
+    `held_force` includes; all are as measured, `force_share` times those along the normal of the plate.
     """
 
     stamp_ns: int
@@ -417,6 +417,7 @@ class RefusedImpact(NamedTuple):
     speed: float = 0.0
     simulated: bool = False
     load_force: float = 0.0
+    force_share: float = 1.0
 
 
 class RunInfo(NamedTuple):

@@ -267,6 +267,7 @@ class ImpactMatcher:
 
     def refuse(self, impact: Impact, rejection: Rejection, speed: float = 0.0, *, excluded: bool = False) -> None:
         """Record an impact that is left out of the series, and its `speed` [m/s] if it is known."""
+        share = self.runs.at(impact.stamp_ns).force_share
         self.refused.append(
             RefusedImpact(
                 stamp_ns=impact.stamp_ns,
@@ -278,6 +279,7 @@ class ImpactMatcher:
                 speed=speed,
                 simulated=impact.simulated,
                 load_force=impact.load_force,
+                force_share=share if share >= MIN_NORMAL_COMPONENT else 1.0,
             )
         )
 

@@ -15,7 +15,7 @@ from scara_effmass.impacts.segment import NOISE, STUCK
 from scara_effmass.impacts.validator import Result, Validator
 from scara_effmass.iso15066 import limits_for
 from scara_effmass.settings import ContactType, MonitorSettings, ValidatorSettings
-from scara_effmass.values import NAN, Impact, LeftOut, ValidatedImpact
+from scara_effmass.values import NAN, Impact, LeftOut, RunInfo, ValidatedImpact
 
 if TYPE_CHECKING:
     from test.impacts.validation.conftest import Cell, MakeCell
@@ -114,6 +114,18 @@ def test_the_first_half_second_of_a_press_has_the_limit_for_impacts(campaign: Ce
     _, result = validated(campaign, change)
     assert (result.held.exceedances, result.held.worst.limit) == (1, TRANSIENT)
     assert result.held.worst.force == pytest.approx(1.5 * TRANSIENT)
+
+
+def test_a_sensor_across_the_plate_shows_a_part_of_what_a_refused_contact_holds(campaign: Cell) -> None:
+    validator = Validator(SETTINGS)
+    run = RunInfo(1, obstacle_mass=2.0, plate_normal=(1.0, 0.0, 0.0), guide_direction=(0.6, 0.8, 0.0))
+    validator.runs.begin(run, 1)
+    (impact, at_ns), *_ = campaign.impacts
+    press = impact._replace(held_force=0.8 * QUASI_STATIC, compression_impulse=0.0)
+    assert [*validator.add_impact(press, at_ns), *validator.finish()] == []
+    result = validator.result()
+    assert (result.held.exceedances, result.held.worst.limit) == (1, QUASI_STATIC)
+    assert result.held.worst.force == pytest.approx(0.8 / 0.6 * QUASI_STATIC)
 
 
 def test_what_stays_is_compared_without_the_state_of_the_robot(campaign: Cell) -> None:
