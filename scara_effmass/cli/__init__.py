@@ -77,11 +77,13 @@ def _parse_and_run(argv: Sequence[str] | None) -> int:
     if "_ARGCOMPLETE" in os.environ:
         import_module("argcomplete").autocomplete(parser)  # ends the process
     try:
-        parsed = parser.parse_args(arguments, argparse.Namespace(ros_arguments=ros_arguments))
+        parsed, unknown = parser.parse_known_args(arguments, argparse.Namespace(ros_arguments=ros_arguments))
     except SystemExit:
         sys.stdout.flush()  # the help
         raise
     name = parsed.command
+    if unknown:
+        parser.error(f"unrecognized arguments: {' '.join(unknown)}{_similar_option(name, unknown[0])}")
     if name is None:
         parser.print_help()
         return INPUT_ERROR
@@ -92,6 +94,14 @@ def _parse_and_run(argv: Sequence[str] | None) -> int:
         return contextvars.copy_context().run(_run, MODULES.get(name, name), parsed)
     finally:
         signal.signal(signal.SIGTERM, previous_handler)
+
+
+def _similar_option(command: str | None, argument: str) -> str:
+    """Return which option of the command ends like an unknown one, as --force-topic does for --topic; else nothing."""
+    options = COMMANDS[command].options if command else ()
+    names = [name for item in options if isinstance(item, Option) for name in item.names]
+    end = argument.partition("=")[0].removeprefix("-")
+    return next((f"; use {name}" for name in names if end.startswith("-") and name.endswith(end)), "")
 
 
 def _is_interrupted(error: BaseException | None) -> bool:

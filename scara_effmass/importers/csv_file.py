@@ -1,18 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Force from a CSV file: a column of force, and one of times or a constant rate."""
 
+import codecs
 import csv
 import re
 from array import array
 from collections.abc import Iterator, Sequence
-from functools import partial
-from itertools import chain, islice, pairwise
+from itertools import chain, islice, pairwise, zip_longest
 from pathlib import Path
 
 import numpy as np
 
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.importers.force_file import (
+    SPELLINGS,
     UNITS,
     ForceFile,
     refuse_settings,
@@ -33,9 +34,14 @@ BINARY_CHECK = 4096
 """Number of characters at the start of a file by which text is recognized."""
 MAX_LINE = 1 << 22
 """Number of characters that no line reaches."""
-DELIMITER_ROWS = 5
-"""Number of rows that show the delimiter."""
+DELIMITER_ROWS = 6
+"""Number of rows, from the header on, that show the delimiter."""
+MAX_HEAD = 64
+"""Number of lines within which the numbers begin, if there are lines above the header."""
+NUMBER_ROWS = 3
+"""Number of rows of numbers that show that the row above is the header."""
 DIGITS = "must be digits with a decimal point, or one decimal comma in a file separated by ; or tab"
+TIMES = f"{DIGITS}, or in ISO 8601, or as 31.12.2025 10:11:12,345"
 
 BRACKETED = re.compile(r".*[(\[]\s*([^()\[\]]*?)\s*[)\]]\s*")
 SUFFIXED = re.compile(r".*_([A-Za-z]+)\s*")
@@ -48,15 +54,18 @@ SEPARATOR = re.compile(r"(?i)sep=(.)")
 """First line by which Excel knows the delimiter."""
 DECIMAL_COMMA = re.compile(r"\s*[+-]?\d+,\d+\s*")
 COUNTER = re.compile(r"(?i)(#|no|nr|n|i|index|idx|samples?|count|counter|row|id|nummer)\.?")
-LOWER_CASE = {unit.lower(): unit for unit in (*UNITS, *NS_PER_UNIT)}
+DATE = re.compile(r"\d{4}([-/.])\d\d?\1\d\d?|\d\d?([-/.])\d\d?\2\d{4}")
+LOWER_CASE = {unit.lower(): unit for unit in (*UNITS, *NS_PER_UNIT)} | SPELLINGS
+KNOWN_UNITS = {*UNITS, *NS_PER_UNIT}
 
 
 def open_csv(path: Path, settings: ImportSettings) -> ForceFile:
     """Read the column `settings.topic` at the times in `settings.time_column`, or at a constant `settings.rate`.
 
     Fields are separated by comma, semicolon or tab; with the last two, numbers may have a decimal comma. The header
-    states units, as in "Force (N)" or "force_n"; times without a unit are in seconds, or in ISO 8601. Without header,
-    columns are numbered from 0. Rows without time or force are skipped. Raises BagError or SettingsError.
+    states units, as in "Force (N)" or "force_n", or a row below it does; times without a unit are in seconds, or in
+    ISO 8601. Lines above the header are skipped. Without header, columns are numbered from 0. Rows without time or
+    force are skipped. Raises BagError or SettingsError.
     """
     refuse_settings(settings, ("axis",), str(path), "a column has no axes")
     header, rows, delimiter = _read(path, has_header=settings.header, has_times=not settings.rate)
@@ -98,23 +107,82 @@ def _read(path: Path, *, has_header: bool, has_times: bool) -> tuple[list[str], 
         start, first = next(numbered, (0, ""))
     if not first:
         raise BagError(f"{path}: is empty; must have a header row and rows of numbers")
-    head = [first, *islice(lines, DELIMITER_ROWS)]
+    head = [first, *islice(lines, MAX_HEAD)]
     is_bare = not (has_header or has_times) and len(delimiters) > 1
-    if is_bare and all(map(DECIMAL_COMMA.fullmatch, filter(str.strip, head))):
+    if is_bare and all(map(DECIMAL_COMMA.fullmatch, filter(str.strip, head[:DELIMITER_ROWS]))):
         rule = "must have a header, or ; between columns"
         raise BagError(f"{path}: line {start + 1}: is one number with a decimal comma, or two columns: {rule}")
-    delimiter = max(delimiters, key=partial(_fit, head, has_header=has_header))
-    rows = read_rows(path, delimiter, start, chain(head, lines))
+    above = {mark: _lines_above_header(head, mark) if has_header else 0 for mark in delimiters}
+
+    def fit(mark: str) -> tuple[float, int]:
+        return _fit(head[above[mark] :][:DELIMITER_ROWS], mark, has_header=has_header)
+
+    delimiter = max(delimiters, key=fit)
+    rows = read_rows(path, delimiter, start + above[delimiter], chain(head[above[delimiter] :], lines))
     line, header = next(rows)
     if len(header) < 2 and has_times:
         rule = "must have times and force, separated by , ; or tab; without times, state --rate HZ"
-        raise BagError(f"{path}: line {start + 1}: has one column; {rule}")
+        raise BagError(f"{path}: line {line}: has one column; {rule}")
     if not has_header:
         return [*map(str, range(len(header)))], chain([(line, header)], rows), delimiter
     if all(_is_number(name, delimiter) for name in header if name):
         rule = "must be a header with the names of the columns; without one, use --no-header"
-        raise BagError(f"{path}: line {start + 1}: has numbers; {rule}")
-    return header, rows, delimiter
+        raise BagError(f"{path}: line {line}: has numbers; {rule}")
+    below = next(rows, None)
+    if below and _are_units(below[1], delimiter):
+        origin = f"{path}: line {below[0]}"
+        return [_with_unit(*pair, origin) for pair in zip_longest(header, below[1], fillvalue="")], rows, delimiter
+    return header, chain([below] if below else [], rows), delimiter
+
+
+def _lines_above_header(head: Sequence[str], delimiter: str) -> int:
+    """Return the number of lines above the names of the columns, which precede the first rows of numbers.
+
+    It is 0, so that the first line is the header, unless the names are as many as the numbers and state a time or unit,
+    and no row above them could have samples.
+    """
+    try:
+        rows = [next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [""]) for line in head]
+    except csv.Error:
+        return 0
+    texts = [(number, [cell.strip() for cell in cells]) for number, cells in enumerate(rows) if any(cells)]
+    first = next((n for n, (_, cells) in enumerate(texts) if len(cells) > 1 and _are_numbers(cells, delimiter)), 0)
+    data = [cells for _, cells in texts[first:][:NUMBER_ROWS]]
+    if not first or not all(len(cells) == len(data[0]) and _are_numbers(cells, delimiter) for cells in data):
+        return 0
+    width = len(data[0])
+    has_units = first > 1 and _are_units(texts[first - 1][1], delimiter)
+    number, names = texts[first - 2 if has_units else first - 1]
+    is_named = has_units or any(is_time_name(name) or _unit(name) in KNOWN_UNITS for name in names)
+    is_header = is_named and len(names) == width and not any(_is_number(name, delimiter) for name in names)
+    has_samples = any(
+        len(cells) == width and sum(_is_number(cell, delimiter) for cell in cells) > 1 for _, cells in texts[:first]
+    )
+    return number if is_header and not has_samples else 0
+
+
+def _are_numbers(cells: Sequence[str], delimiter: str) -> bool:
+    return any(cells) and all(_is_number(cell, delimiter) for cell in cells if cell)
+
+
+def _are_units(cells: Sequence[str], delimiter: str) -> bool:
+    """Return whether a row has the units of the columns: no number, and a unit of force or time."""
+    is_text = not any(_is_number(cell, delimiter) for cell in cells)
+    return is_text and any(_spelled(cell) in KNOWN_UNITS for cell in cells)
+
+
+def _spelled(unit: str) -> str:
+    """Return a unit without brackets, with the micro sign for the Greek mu, and short if it is spelled out."""
+    unit = unit.strip("[]() ").replace("\u03bc", "\u00b5")
+    return SPELLINGS.get(unit.lower(), unit)
+
+
+def _with_unit(name: str, cell: str, origin: str) -> str:
+    """Return the name of a column with the unit below it, unless one of the two is empty or it states the same."""
+    stated, unit = _unit(name), _spelled(cell)
+    if {stated, unit} <= KNOWN_UNITS and NS_PER_UNIT.get(stated, stated) != NS_PER_UNIT.get(unit, unit):
+        raise BagError(f"{origin}: {name} = {cell}: must be {stated}, as the header states")
+    return f"{name} [{unit}]" if name and unit and unit != stated else name or cell
 
 
 def _fit(head: Sequence[str], delimiter: str, *, has_header: bool) -> tuple[float, int]:
@@ -128,13 +196,26 @@ def _fit(head: Sequence[str], delimiter: str, *, has_header: bool) -> tuple[floa
     return numbers / max(len(numbered), 1), len(first)
 
 
+def _latin_1(error: UnicodeError) -> tuple[str, int]:
+    """Decode bytes that are not UTF-8 as Latin-1."""
+    if not isinstance(error, UnicodeDecodeError):
+        raise error
+    return error.object[error.start : error.end].decode("latin-1"), error.end
+
+
+AS_LATIN_1 = "scara_effmass.latin_1"
+codecs.register_error(AS_LATIN_1, _latin_1)
+
+
 def _lines(path: Path) -> Iterator[str]:
     check_regular_file(path, BagError)
     try:
-        # Names of other columns may be in any encoding.
-        with path.open(encoding="utf-8-sig", errors="replace") as file:
+        with path.open("rb") as content:
+            is_utf_16 = content.read(2) in {codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE}
+        encoding, errors = ("utf-16", "replace") if is_utf_16 else ("utf-8-sig", AS_LATIN_1)
+        with path.open(encoding=encoding, errors=errors) as file:
             if "\0" in file.read(BINARY_CHECK):
-                raise BagError(f"{path}: must be text in UTF-8")
+                raise BagError(f"{path}: must be text in UTF-8, in Latin-1, or in UTF-16 with a byte order mark")
             file.seek(0)
             number = 0
             while line := file.readline(MAX_LINE):
@@ -218,7 +299,7 @@ def _unit(name: str) -> str:
     """Return the unit at the end of a column name; empty if there is none."""
     name = REPEATED.sub("", name)
     if match := BRACKETED.fullmatch(name):
-        return match[1].replace("\u03bc", "\u00b5")  # Greek mu and micro sign look the same
+        return _spelled(match[1])
     match = SUFFIXED.fullmatch(name)
     return LOWER_CASE.get(match[1].lower(), "") if match else ""
 
@@ -255,9 +336,9 @@ def _samples(
             except OverflowError:
                 raise BagError(f"{origin}: must be within {MAX_SEC} s of 1970 or of the start") from None
             except ValueError:
-                raise BagError(
-                    f"{path}: line {line}: {header[time]} = {row[time]!r}: {DIGITS}, or in ISO 8601"
-                ) from None
+                rule = "must have the time in the same column, or --time-column must name that of the times"
+                rule = f"is a date; {rule}" if DATE.fullmatch(row[time]) else TIMES
+                raise BagError(f"{path}: line {line}: {header[time]} = {row[time]!r}: {rule}") from None
             if stamp_ns < previous_ns:
                 raise BagError(f"{origin}: must not be less than {previous}, the time before")
             previous_ns, previous = stamp_ns, row[time]

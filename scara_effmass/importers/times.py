@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Times and numbers as text: seconds, ISO 8601, decimal point or comma."""
+"""Times and numbers as text: seconds, ISO 8601, dates with the day first, decimal point or comma."""
 
 import re
 from datetime import datetime, timedelta, timezone
@@ -15,10 +15,15 @@ _ISO = re.compile(
     r"(?:(\d{4})-?(\d\d)-?(\d\d)[T ]\s*)?(\d\d):?(\d\d):?(\d\d)(?:[.,](\d+))?\s*(Z|UTC|[+-]\d\d(?::?\d\d)?)?"
 )
 
+_DAY_FIRST = re.compile(r"^(\d\d)\.(\d\d)\.(\d{4})(?=[T ])")
+
 
 def iso_ns(text: str) -> int | None:
-    """Return a time in ISO 8601 [ns since 1970], without a zone in UTC, without a date after midnight; else None."""
-    match = _ISO.fullmatch(text.strip())
+    """Return a time in ISO 8601 [ns since 1970], without a zone in UTC, without a date after midnight; else None.
+
+    The date may also be as in 31.12.2025.
+    """
+    match = _ISO.fullmatch(_DAY_FIRST.sub(r"\3-\2-\1", text.strip()))
     if match is None or (match[1] is None and ":" not in text):
         return None
     *date, hour, minute, second, fraction, zone = match.groups()

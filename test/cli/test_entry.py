@@ -131,6 +131,10 @@ REFUSALS: dict[str, tuple[list[str], str]] = {
         "argument --stiffness-n-m: 2,77: must be a number: write 2.77",
     ),
     "abbreviated option": (["limits", "--contact-area", "2"], "unrecognized arguments: --contact-area 2"),
+    "option of other commands": (
+        ["impacts", TOUR, "--topic=/f"],
+        "unrecognized arguments: --topic=/f; use --force-topic",
+    ),
     "pi as a mass": (["limits", "--mass", "2*pi"], "must be a number >= 1e-06 kg: write 3.14159265 for pi"),
     "parameters as a robot": (
         ["assess", TOUR, "-o", "a.csv", "--robot", str(share("config", "monitor.yaml"))],

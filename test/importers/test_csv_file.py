@@ -21,8 +21,8 @@ CARTS = Path(__file__).parents[1] / "recordings" / "cart_impacts"
 ROWS = [(0.01 * n, 0.5 * n) for n in range(100)]
 
 
-def write(path: Path, text: str) -> Path:
-    path.write_text(text, encoding="utf-8")
+def write(path: Path, text: str, encoding: str = "utf-8") -> Path:
+    path.write_text(text, encoding=encoding)
     return path
 
 
@@ -58,6 +58,13 @@ def test_plain_file_becomes_blocks_of_100_ms(tmp_path: Path, delimiter: str, nam
         ("t,f", "kN", 1e3),
         ("t,load (left)", "N", 1.0),
         ("t,Kraft (daN)", "", 10.0),
+        ("t,Force [Newton]", "", 1.0),
+        ("Time,Force\ns,kN", "", 1e3),
+        ("t_s,Force\n[s],[kN]", "", 1e3),
+        ("Time (sec),Force (kN)\ns,kN", "", 1e3),
+        ("Device,X\nRate,1000\nDate,12.03.2025 14:02:33\n\nTime (s),Force (kN)", "", 1e3),
+        ("PRMS,Version 2.1,Hand,1000\nHand\nTime (s),Force (kN)", "", 1e3),
+        ("File name:,x.dxd\n\n,Force\nTime (s),kN", "", 1e3),
     ],
 )
 def test_unit_is_that_of_the_header_or_the_setting(tmp_path: Path, header: str, unit: str, newtons: float) -> None:
@@ -73,11 +80,23 @@ def test_voltage_is_divided_by_the_sensitivity(tmp_path: Path, header: str, volt
     assert {block.relative_uncertainty for block in blocks} == {0.15}
 
 
-@pytest.mark.parametrize(("unit", "scale"), [("ms", 1e3), ("us", 1e6), ("\u00b5s", 1e6), ("\u03bcs", 1e6)])
-def test_times_may_be_in_other_units(tmp_path: Path, unit: str, scale: float) -> None:
+@pytest.mark.parametrize(
+    ("unit", "scale", "encoding"),
+    [
+        ("ms", 1e3, "utf-8"),
+        ("us", 1e6, "utf-8"),
+        ("\u00b5s", 1e6, "utf-8"),
+        ("\u03bcs", 1e6, "utf-8-sig"),
+        ("\u00b5s", 1e6, "latin-1"),
+        ("\u00b5s", 1e6, "utf-16"),
+    ],
+)
+@pytest.mark.parametrize("header", ["Time ({}),Prüfling: Force (N)", "Time,Prüfling: Force\n{},N"])
+def test_times_may_be_in_other_units(tmp_path: Path, header: str, unit: str, scale: float, encoding: str) -> None:
     rows = [(time * scale, force) for time, force in ROWS]
-    blocks = imported(write(tmp_path / "cell.csv", table(f"Time ({unit}),Force (N)", rows)))
+    blocks = imported(write(tmp_path / "cell.csv", table(header.format(unit), rows), encoding))
     assert blocks[0].sample_rate == pytest.approx(100.0)
+    assert blocks[0].source.startswith("cell.csv, Prüfling: Force")
 
 
 def test_absolute_times_in_nanoseconds_keep_all_digits(tmp_path: Path) -> None:
@@ -176,6 +195,10 @@ def test_samples_at_the_end_of_the_range_are_marked(tmp_path: Path) -> None:
         ("t,f (N)\n0,1\n", {"axis": "x"}, "axis = x: must not be stated, a column has no axes"),
         ("f (N)\n0\n1\n", {"rate": 1e-12}, "line 3: rate = 1e-12: must be larger, the file lasts over 2147483647 s"),
         ("0,204\n-0,256\n", {"rate": 1e3, "header": False}, "line 1: is one number with a decimal comma, or two"),
+        ("t (s),f (N)\ns,kN\n0,1\n", {}, r"line 2: f \(N\) = kN: must be N, as the header states"),
+        ("t,F,on\n0,1,x\nt,F (N),n\n1,2,3\n2,2,3\n", {}, "F: states no unit"),  # a recording above the header
+        ("Date,Time,f (N)\n2025-01-01,10:00:00,1\n", {}, "line 2: Date = '2025-01-01': is a date; .* --time-column"),
+        (",\n", {}, "line 1: has numbers; must be a header"),
         ("sep=|\nt|f (N)\n0|1\n", {}, r"line 1: sep = \|: must be a comma, a semicolon or a tab"),
     ],
 )
@@ -329,6 +352,7 @@ def test_decimal_comma(tmp_path: Path, header: str) -> None:
         ("2025-01-01T09:00:00.{:03d}000000", 1_735_722_000 * NS),
         ("20250101T060000.{:03d}-0300", 1_735_722_000 * NS),
         ("10:00:00.{:03d}", 36_000 * NS),
+        ("01.01.2025 09:00:00,{:03d}", 1_735_722_000 * NS),
     ],
 )
 def test_times_in_iso_8601(tmp_path: Path, first: str, stamp_ns: int) -> None:
@@ -338,7 +362,7 @@ def test_times_in_iso_8601(tmp_path: Path, first: str, stamp_ns: int) -> None:
     assert blocks[0].sample_rate == pytest.approx(100.0)
 
 
-@pytest.mark.parametrize("text", ["2025-13-01T10:00:00", "2025-01-01T25:00:00", "2025-01-01", "01.01.2025 10:00:00"])
+@pytest.mark.parametrize("text", ["2025-13-01T10:00:00", "2025-01-01T25:00:00", "01.13.2025 10:00:00"])
 def test_time_that_is_no_iso_8601_is_refused(tmp_path: Path, text: str) -> None:
     with pytest.raises(BagError, match=r"line 2: t = .*: must be digits .*, or in ISO 8601"):
         imported(write(tmp_path / "cell.csv", f"t;f (N)\n{text};1\n"))
