@@ -18,8 +18,8 @@ def test_readme_example_prints_verdict_mass_and_allowable_speed(capsys: pytest.C
     assert example is not None
     exec(compile(example[1], str(README), "exec"), {})  # noqa: S102 - written by the project
     assert capsys.readouterr().out == (
-        "OK 1.12 kg 0.536 m/s\nWARN 3.22 kg 0.160 m/s\n"  # tool, elbow
-        "WARN 1.90 kg 0.192 m/s\nVIOLATION 0.62 kg 0.372 m/s\nOK 0.95 kg 0.467 m/s\nOK 0.86 kg 0.490 m/s\n"
+        "OK 1.12 kg 0.536 m/s\nWARN 3.22 kg 0.159 m/s\n"  # tool, elbow
+        "WARN 1.90 kg 0.190 m/s\nVIOLATION 0.62 kg 0.370 m/s\nOK 0.95 kg 0.464 m/s\nOK 0.86 kg 0.607 m/s\n"
     )
 
 

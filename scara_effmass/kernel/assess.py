@@ -243,9 +243,8 @@ def fill_limits(
         _PRESSURE if case.is_pressure else _FORCE,
         model + 1,
     )
-    set_verdict(
-        contact, case, cases[point.weakest], bound, work.mobilities[:count], person, mass, approach, setup, work
-    )
+    mobilities, weakest = work.mobilities[:count], cases[point.weakest]
+    set_verdict(contact, case, weakest, bound, mobilities, drives, person, mass, approach, setup, work)
 
 
 @inlined
@@ -264,6 +263,7 @@ def largest_force(
     bound: Bound,
     case: Case,
     mobilities: Sequence[Mobility],
+    drives: Drives,
     person: Person,
     hit: float,
     setup: Setup,
@@ -275,7 +275,7 @@ def largest_force(
         elastic = force / setup.amplification
         square = elastic * (elastic - 2.0 * bound.push)
         rate = case.stiffness / square if square > 0.0 else math.inf
-        other = bound_within(rate, bound.push > 0.0, case, mobilities[k], k, hit, person, setup, work)
+        other = bound_within(rate, bound.push, case, mobilities[k], k, hit, drives, person, setup, work)
         other = Bound(0.0, other.reduced_mass, other.growth, bound.push, other.root, other.gain)
         force = max(force, force_of(other, case, hit, setup))
     return force
@@ -307,6 +307,7 @@ def set_verdict(
     weakest: Case,
     bound: Bound,
     mobilities: Sequence[Mobility],
+    drives: Drives,
     person: Person,
     mass: float,
     approach: Approach,
@@ -320,7 +321,7 @@ def set_verdict(
     share = person_share(approach, setup, work)
     closing_speed = setup.person_speed * share + setup.speed_uncertainty + approach.tolerance
     hit = approach.speed * approach.share + closing_speed
-    contact.force_bound = largest_force(bound, case, mobilities, person, hit, setup, work)
+    contact.force_bound = largest_force(bound, case, mobilities, drives, person, hit, setup, work)
     nominal_speed = (bound.speed - closing_speed) / approach.share
     contact.allowable_speed = max(0.0, nominal_speed)
     turn = farthest_turn(contact, case, approach)

@@ -485,23 +485,29 @@ def governing_person_case(
 @inlined
 def bound_within(
     rate: float,
-    is_pushed: bool,  # noqa: FBT001 - compiled
+    push: float,
     case: Case,
     m: Mobility,
     k: int,
     speed: float,
+    drives: Drives,
     person: Person,
     setup: Setup,
     work: Work,
 ) -> Bound:
-    """Return the bound of mobility `k`, of free joints if `is_pushed`; none if it keeps `rate` at `speed` anyway."""
+    """Return the bound of mobility `k`, of free joints with a `push`; none if it keeps `rate` at `speed` anyway.
+
+    With a moving person the line of the drives is that of the limit, as in the allowable speed.
+    """
     if setup.counts_person:
-        p, robot_speed = work.principals[k], person.robot_speed
-        if is_pushed:
+        p = work.principals[k]
+        if push > 0.0:
             line, pushed = (case.obstacle_mobility, 1.0), without_acceleration(person)
-            return person_line_bound(case, p, m, setup, line, rate, pushed, robot_speed)
-        return person_case_bound(case, p, m, setup, rate, person, robot_speed)
-    if is_pushed:
+            rest = case.force * (case.force - 2.0 * push)
+            rate = case.stiffness / rest if rest > 0.0 else math.inf
+            return person_line_bound(case, p, m, setup, line, rate, pushed, math.inf)
+        return person_case_bound(case, p, m, setup, holding_rate(case, drives), person, math.inf)
+    if push > 0.0:
         return free_bound(case, m, setup.mass_factor, rate, speed)
     if is_no_slower(case, m, k, rate, speed, work):
         return NO_BOUND

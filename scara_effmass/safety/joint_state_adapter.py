@@ -197,9 +197,10 @@ class JointStateAdapter:
 
     def _others(self, reported: Sequence[str], names: Sequence[str]) -> tuple[int, ...]:
         """Return the places of joints outside the model that neither `ignored_joints` nor the robot file excuse."""
-        pairs = enumerate(zip(reported, names, strict=True))
-        others = list[int]()
-        for index, pair in ((index, pair) for index, pair in pairs if pair[1] not in self._joints):
+        joints, others = set(self._joints), list[int]()
+        for index, pair in enumerate(zip(reported, names, strict=True)):
+            if pair[1] in joints:
+                continue
             globs = {glob for glob in self._ignored if any(fnmatchcase(name, glob) for name in pair)}
             self.matched |= globs
             if not globs and pair[1] not in self._harmless:

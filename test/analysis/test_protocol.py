@@ -118,7 +118,7 @@ def test_the_verdict_needs_a_distance_of_the_uncertainty_from_the_limit(
     ("field", "values", "part"),
     [
         ("transient_peak_n", (98.0, 100.0, 102.0), 2.0 * 2.0 / 100.0),
-        ("duration_s", (0.01, 0.0005, 0.02), 2.0 * (1.0 - np.cos(np.pi / 10.0)) / np.sqrt(3.0)),
+        ("duration_s", (0.01, 0.005, 0.02), 2.0 * (1.0 - np.cos(np.pi / 16.0)) / np.sqrt(3.0)),
     ],
     ids=["twice_the_deviation_of_the_peaks", "loss_between_samples_of_the_shortest_contact"],
 )

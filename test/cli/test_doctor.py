@@ -121,7 +121,7 @@ def _in_grams(row: re.Match[str]) -> str:
 
 
 def test_contact_that_decides_most_random_motions_comes_first(capsys: pytest.CaptureFixture[str]) -> None:
-    rows = texts(run_doctor(capsys, "--contact-point", "near=link1: -0.1 0 0", "--contact-point", "tool")[1], "ok")
+    rows = texts(run_doctor(capsys, "--contact-point", "near=link1: -0.2 0 0", "--contact-point", "tool")[1], "ok")
     assert rows["tightest contact"] == "tool 99.7%, near 0.3% of 300 random motions"
     whole = texts(run_doctor(capsys, "--contact-point", "whole_arm")[1], "ok")["tightest contact"]
     shares = [float(share) for share in re.findall(r"([\d.]+)%", whole)]
