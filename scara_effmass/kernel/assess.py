@@ -209,7 +209,7 @@ def fill_limits(
     cap = setup.mass_cap
     model, mass, worst = deciding_mass(choice, setup, work)
     models, count = fill_mobilities(choice, approach, point, setup, work)
-    acceleration, min_mobility, max_force = math.inf, 0.0, math.inf
+    acceleration, min_mobility, max_force, of = math.inf, 0.0, math.inf, -1
     if setup.is_servo:
         acceleration, min_mobility = drive_acceleration(approach.joints, setup, work), 1.0 / worst
     if setup.joints_are_coupled:
@@ -223,7 +223,7 @@ def fill_limits(
         governing, bound = governing_person_case(cases, start, work.mobilities[:count], drives, setup, work, person)
     else:
         drives = Drives(acceleration, min_mobility, max_force, setup.is_servo)
-        governing, bound = governing_case(cases, start, work.mobilities[:count], drives, setup, work)
+        governing, bound, of = governing_case(cases, start, work.mobilities[:count], drives, setup, work)
     case = cases[governing]
     mu = mass if case.body_mass == math.inf else 1.0 / (1.0 / mass + 1.0 / case.body_mass)
     worst_mu = 0.0
@@ -244,7 +244,7 @@ def fill_limits(
         model + 1,
     )
     mobilities, weakest = work.mobilities[:count], cases[point.weakest]
-    set_verdict(contact, case, weakest, bound, mobilities, drives, person, mass, approach, setup, work)
+    set_verdict(contact, case, weakest, bound, of, mobilities, drives, person, mass, approach, setup, work)
 
 
 @inlined
@@ -261,6 +261,7 @@ def force_of(bound: Bound, case: Case, hit: float, setup: Setup) -> float:
 @inlined
 def largest_force(
     bound: Bound,
+    of: int,
     case: Case,
     mobilities: Sequence[Mobility],
     drives: Drives,
@@ -269,9 +270,11 @@ def largest_force(
     setup: Setup,
     work: Work,
 ) -> float:
-    """Return the largest bound of the force [N] of all mobilities at the speed `hit`: another may allow the least."""
+    """Return the largest bound of the force [N] of all mobilities at the speed `hit`; `bound` is that of one, `of`."""
     force = force_of(bound, case, hit, setup)
     for k in range(len(mobilities)):
+        if k == of:
+            continue
         elastic = force / setup.amplification
         square = elastic * (elastic - 2.0 * bound.push)
         rate = case.stiffness / square if square > 0.0 else math.inf
@@ -306,6 +309,7 @@ def set_verdict(
     case: Case,
     weakest: Case,
     bound: Bound,
+    of: int,
     mobilities: Sequence[Mobility],
     drives: Drives,
     person: Person,
@@ -321,7 +325,7 @@ def set_verdict(
     share = person_share(approach, setup, work)
     closing_speed = setup.person_speed * share + setup.speed_uncertainty + approach.tolerance
     hit = approach.speed * approach.share + closing_speed
-    contact.force_bound = largest_force(bound, case, mobilities, drives, person, hit, setup, work)
+    contact.force_bound = largest_force(bound, of, case, mobilities, drives, person, hit, setup, work)
     nominal_speed = (bound.speed - closing_speed) / approach.share
     contact.allowable_speed = max(0.0, nominal_speed)
     turn = farthest_turn(contact, case, approach)

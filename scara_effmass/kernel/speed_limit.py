@@ -305,26 +305,31 @@ def case_index(n: int, count: int) -> int:
 @inlined
 def governing_case(
     cases: Sequence[Case], start: int, mobilities: Sequence[Mobility], drives: Drives, setup: Setup, work: Work
-) -> tuple[int, Bound]:
-    """Return the case that allows the least speed, and its bound; `start` is the first that is tried."""
-    factor, governing, slowest = setup.mass_factor, 0, NO_BOUND
+) -> tuple[int, Bound, int]:
+    """Return the case that allows the least speed, its bound, and whose mobility's it is; -1: of any.
+
+    `start` is the first case that is tried.
+    """
+    factor, governing, slowest, slowest_k = setup.mass_factor, 0, NO_BOUND, -1
     fill_bounds(mobilities, setup, work)
     for n in range(len(cases)):
         i = case_index(start + n, len(cases))
-        case, bound = cases[i], NO_BOUND
+        case, bound, of = cases[i], NO_BOUND, -1
         rate = holding_rate(case, drives)
         for k in range(len(mobilities)):
             least = min(slowest.speed, bound.speed)
             if not is_no_slower(case, mobilities[k], k, rate, least, work):
-                bound = slower(bound, case_bound(case, mobilities[k], factor, rate, least))
+                other = case_bound(case, mobilities[k], factor, rate, least)
+                of = k if is_below(other.speed, bound.speed) else of
+                bound = slower(bound, other)
         if drives.has_push and bound.speed <= slowest.speed:
             other = push_bound(case, mobilities, drives, setup, bound.speed, slowest.speed)
             if bound.speed < other.speed:
-                bound = other
+                bound, of = other, -1
         is_first = bound.speed == slowest.speed and i < governing
         if bound.speed < slowest.speed or is_first:
-            governing, slowest = i, bound
-    return governing, slowest if slowest.speed < math.inf else NO_BOUND
+            governing, slowest, slowest_k = i, bound, of
+    return governing, slowest if slowest.speed < math.inf else NO_BOUND, slowest_k
 
 
 @inlined
