@@ -405,7 +405,8 @@ class RefusedImpact(NamedTuple):
     `excluded`: because of the impact itself; otherwise it could not be matched with the robot's state. `reason` is the
     category by which such impacts are counted, `detail` describes this one and may be empty. `speed` [m/s] is that of a
     press at its onset, 0 if it is not known. `peak_force` is that above the `load_force` of an earlier contact, which
-    `held_force` includes; all are as measured, `force_share` times those along the normal of the plate.
+    `held_force` includes; all are as measured, `force_share` times those along the normal of the plate, which are
+    `total_peak` with the load, and `total_held`.
     """
 
     stamp_ns: int
@@ -418,6 +419,16 @@ class RefusedImpact(NamedTuple):
     simulated: bool = False
     load_force: float = 0.0
     force_share: float = 1.0
+
+    @property
+    def total_peak(self) -> float:
+        """Peak force with the load, along the normal of the plate [N]."""
+        return (self.peak_force + self.load_force) / self.force_share
+
+    @property
+    def total_held(self) -> float:
+        """What stayed, along the normal of the plate [N]; 0: nothing."""
+        return self.held_force / self.force_share
 
 
 class RunInfo(NamedTuple):

@@ -149,14 +149,14 @@ def _left_out(recording: ValidatedRecording, contacts: Sequence[RefusedImpact]) 
 
     for reason in dict.fromkeys(contact.reason for contact in contacts):
         refused = [contact for contact in contacts if contact.reason == reason]
-        largest = max(refused, key=lambda contact: (contact.peak_force + contact.load_force) / contact.force_share)
-        peaks = [force((contact.peak_force + contact.load_force) / contact.force_share) for contact in refused]
+        largest = max(refused, key=attrgetter("total_peak"))
+        peaks = [force(contact.total_peak) for contact in refused]
         yield LeftOutForce(
             reason=reason,
             count=len(refused),
             time=_time(largest.stamp_ns),
             peak_n=None if None in peaks else max(filter(None, peaks), default=0.0),
-            held_n=force(max((contact.held_force or contact.load_force) / contact.force_share for contact in refused)),
+            held_n=force(max(contact.total_held or contact.load_force / contact.force_share for contact in refused)),
             complete=None not in peaks and reason not in {CLIPPED, INCOMPLETE},
         )
     for item in recording.left_out:

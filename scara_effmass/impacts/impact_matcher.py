@@ -25,8 +25,6 @@ MAX_CLOCK_RESIDUAL_S = 60.0
 """Maximum uncertainty of a stamp [s]; beyond it, no contact state can be matched."""
 MIN_NORMAL_COMPONENT = 0.1
 """Minimum component of the velocity, or of the sensor's axis, along the normal of the plate."""
-CLIPPED = "clipped: the force reached the end of the measuring range"
-INCOMPLETE = "incomplete: samples were lost during it"
 REBOUND = "rebound of an earlier impact"
 LARGER_REBOUND = "rebound of an earlier impact, but larger"
 CLIPPED = "clipped: the force reached the end of the measuring range"

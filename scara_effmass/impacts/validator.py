@@ -376,9 +376,8 @@ class Validator:
 
     def _as_measured(self, impact: RefusedImpact) -> list[RegionForce]:
         """Return what stayed of a refused impact, and the first 0.5 s if it is a press."""
-        first = impact.peak_force + impact.load_force if impact.reason == PRESS else 0.0
-        forces = (self._held_limits, impact.held_force), (self._limits, first)
-        return [static_force(limits, force / impact.force_share) for limits, force in forces]
+        first = impact.total_peak if impact.reason == PRESS else 0.0
+        return [static_force(self._held_limits, impact.total_held), static_force(self._limits, first)]
 
     def _left_out_forces(self, stiffness: float) -> ComparedForces:
         """Return the contacts that are not in the series, and the force in no impact."""

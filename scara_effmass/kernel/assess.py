@@ -66,6 +66,7 @@ from scara_effmass.kernel.speed_limit import (
     governing_case,
     governing_person_case,
     likely_case,
+    pushed_rate,
 )
 from scara_effmass.kernel.state import STATE, VALUES
 from scara_effmass.kernel.static_force import clamping_force, holding_force
@@ -209,7 +210,7 @@ def fill_limits(
     cap = setup.mass_cap
     model, mass, worst = deciding_mass(choice, setup, work)
     models, count = fill_mobilities(choice, approach, point, setup, work)
-    acceleration, min_mobility, max_force, of = math.inf, 0.0, math.inf, -1
+    acceleration, min_mobility, max_force = math.inf, 0.0, math.inf
     if setup.is_servo:
         acceleration, min_mobility = drive_acceleration(approach.joints, setup, work), 1.0 / worst
     if setup.joints_are_coupled:
@@ -220,10 +221,12 @@ def fill_limits(
         fill_principals(models - 1 if choice.takes.iso else -1, count, approach, setup, work)
         has_push = setup.is_servo and approach.rank == 3  # where the point does not move, drives have no least mobility
         drives = Drives(acceleration, min_mobility, max_force, has_push)
-        governing, bound = governing_person_case(cases, start, work.mobilities[:count], drives, setup, work, person)
+        governing, bound, bound_k = governing_person_case(
+            cases, start, work.mobilities[:count], drives, setup, work, person
+        )
     else:
         drives = Drives(acceleration, min_mobility, max_force, setup.is_servo)
-        governing, bound, of = governing_case(cases, start, work.mobilities[:count], drives, setup, work)
+        governing, bound, bound_k = governing_case(cases, start, work.mobilities[:count], drives, setup, work)
     case = cases[governing]
     mu = mass if case.body_mass == math.inf else 1.0 / (1.0 / mass + 1.0 / case.body_mass)
     worst_mu = 0.0
@@ -243,8 +246,11 @@ def fill_limits(
         _PRESSURE if case.is_pressure else _FORCE,
         model + 1,
     )
-    mobilities, weakest = work.mobilities[:count], cases[point.weakest]
-    set_verdict(contact, case, weakest, bound, of, mobilities, drives, person, mass, approach, setup, work)
+    share = person_share(approach, setup, work)
+    closing_speed = setup.person_speed * share + setup.speed_uncertainty + approach.tolerance
+    hit = approach.speed * approach.share + closing_speed
+    contact.force_bound = largest_force(bound, bound_k, case, work.mobilities[:count], drives, person, hit, setup, work)
+    set_verdict(contact, case, cases[point.weakest], bound, share, closing_speed, mass, approach, setup)
 
 
 @inlined
@@ -261,7 +267,7 @@ def force_of(bound: Bound, case: Case, hit: float, setup: Setup) -> float:
 @inlined
 def largest_force(
     bound: Bound,
-    of: int,
+    bound_k: int,
     case: Case,
     mobilities: Sequence[Mobility],
     drives: Drives,
@@ -270,14 +276,12 @@ def largest_force(
     setup: Setup,
     work: Work,
 ) -> float:
-    """Return the largest bound of the force [N] of all mobilities at the speed `hit`; `bound` is that of one, `of`."""
+    """Return the largest bound of the force [N] of all mobilities at `hit`; `bound` is that of one, `bound_k`."""
     force = force_of(bound, case, hit, setup)
     for k in range(len(mobilities)):
-        if k == of:
+        if k == bound_k:
             continue
-        elastic = force / setup.amplification
-        square = elastic * (elastic - 2.0 * bound.push)
-        rate = case.stiffness / square if square > 0.0 else math.inf
+        rate = pushed_rate(case, force / setup.amplification, bound.push)
         other = bound_within(rate, bound.push, case, mobilities[k], k, hit, drives, person, setup, work)
         other = Bound(0.0, other.reduced_mass, other.growth, bound.push, other.root, other.gain)
         force = max(force, force_of(other, case, hit, setup))
@@ -309,23 +313,17 @@ def set_verdict(
     case: Case,
     weakest: Case,
     bound: Bound,
-    of: int,
-    mobilities: Sequence[Mobility],
-    drives: Drives,
-    person: Person,
+    share: float,
+    closing_speed: float,
     mass: float,
     approach: Approach,
     setup: Setup,
-    work: Work,
 ) -> None:
-    """Write the bound of the force, the allowable speed and the verdict.
+    """Write the allowable speed and the verdict.
 
-    `case` allows the least speed, `weakest` the smallest force.
+    `case` allows the least speed, `weakest` the smallest force. `share` of the person's speed, and all of
+    `closing_speed` [m/s], add to that of the robot.
     """
-    share = person_share(approach, setup, work)
-    closing_speed = setup.person_speed * share + setup.speed_uncertainty + approach.tolerance
-    hit = approach.speed * approach.share + closing_speed
-    contact.force_bound = largest_force(bound, of, case, mobilities, drives, person, hit, setup, work)
     nominal_speed = (bound.speed - closing_speed) / approach.share
     contact.allowable_speed = max(0.0, nominal_speed)
     turn = farthest_turn(contact, case, approach)

@@ -98,8 +98,9 @@ def approach_of(point: Point, vertex: int, motion: FloatArray, age: float, setup
         shown = add(shown, scale(motion[3, j], column))
         tolerance += motion[2, j] * norm(column)
         error += motion[4, j] * norm(column)
-        if abs(motion[3, j] + motion[5, j]) > joint_acceleration:
-            fastest, joint_acceleration = j, abs(motion[3, j] + motion[5, j])
+        of_joint = abs(motion[3, j] + motion[5, j])
+        if of_joint > joint_acceleration:
+            fastest, joint_acceleration = j, of_joint
         j = setup.parent[j]
     speed = norm(velocity)
     is_moving = speed >= setup.speed_threshold and speed > 0.0

@@ -240,6 +240,13 @@ def push_force(case: Case, drives: Drives, setup: Setup) -> float:
 
 
 @inlined
+def pushed_rate(case: Case, force: float, push: float) -> float:
+    """Return k / (F^2 - 2 F P), the rate at which free joints under the push P reach the force F; infinite: P does."""
+    square = force * (force - 2.0 * push)
+    return case.stiffness / square if square > 0.0 else math.inf
+
+
+@inlined
 def push_bound(
     case: Case, mobilities: Sequence[Mobility], drives: Drives, setup: Setup, speed: float, least: float
 ) -> Bound:
@@ -314,21 +321,21 @@ def governing_case(
     fill_bounds(mobilities, setup, work)
     for n in range(len(cases)):
         i = case_index(start + n, len(cases))
-        case, bound, of = cases[i], NO_BOUND, -1
+        case, bound, bound_k = cases[i], NO_BOUND, -1
         rate = holding_rate(case, drives)
         for k in range(len(mobilities)):
             least = min(slowest.speed, bound.speed)
             if not is_no_slower(case, mobilities[k], k, rate, least, work):
                 other = case_bound(case, mobilities[k], factor, rate, least)
-                of = k if is_below(other.speed, bound.speed) else of
+                bound_k = k if is_below(other.speed, bound.speed) else bound_k
                 bound = slower(bound, other)
         if drives.has_push and bound.speed <= slowest.speed:
             other = push_bound(case, mobilities, drives, setup, bound.speed, slowest.speed)
             if bound.speed < other.speed:
-                bound, of = other, -1
+                bound, bound_k = other, -1
         is_first = bound.speed == slowest.speed and i < governing
         if bound.speed < slowest.speed or is_first:
-            governing, slowest, slowest_k = i, bound, of
+            governing, slowest, slowest_k = i, bound, bound_k
     return governing, slowest if slowest.speed < math.inf else NO_BOUND, slowest_k
 
 
@@ -446,12 +453,11 @@ def person_push_bound(
 ) -> Bound:
     """Return the bound of free joints and the push of the drives with a moving person, as `push_bound`."""
     force = push_force(case, drives, setup)
-    rest = case.force * (case.force - 2.0 * force)
-    if not rest > 0.0:
+    rate, line = pushed_rate(case, case.force, force), (case.obstacle_mobility, 1.0)
+    if rate == math.inf:
         return Bound(-person.speed if force < math.inf else -math.inf, 0.0, 0.0, force, 0.0, 0.0)
     slowest, person = NO_BOUND, without_acceleration(person)
     for k in range(len(mobilities)):
-        rate, line = case.stiffness / rest, (case.obstacle_mobility, 1.0)
         bound = person_line_bound(case, work.principals[k], mobilities[k], setup, line, rate, person, least)
         slowest = slower(slowest, no_slower_than_at_rest(bound, person))
     return Bound(slowest.speed, slowest.reduced_mass, 0.0, force, slowest.root, 0.0)
@@ -466,25 +472,26 @@ def governing_person_case(
     setup: Setup,
     work: Work,
     person: Person,
-) -> tuple[int, Bound]:
-    """Return the case that allows the robot the least speed with a moving person, and its bound."""
-    governing, slowest = 0, NO_BOUND
+) -> tuple[int, Bound, int]:
+    """Return what `governing_case` does, with a moving person."""
+    governing, slowest, slowest_k = 0, NO_BOUND, -1
     for n in range(len(cases)):
         i = case_index(start + n, len(cases))
-        case, bound = cases[i], NO_BOUND
+        case, bound, bound_k = cases[i], NO_BOUND, -1
         rate = holding_rate(case, drives)
         for k in range(len(mobilities)):
             least = min(slowest.speed, bound.speed)
             other = person_case_bound(case, work.principals[k], mobilities[k], setup, rate, person, least)
+            bound_k = k if is_below(other.speed, bound.speed) else bound_k
             bound = slower(bound, other)
         if drives.has_push and bound.speed <= slowest.speed:
             other = person_push_bound(case, mobilities, drives, setup, work, person, slowest.speed)
             if bound.speed < other.speed:
-                bound = other
+                bound, bound_k = other, -1
         is_first = bound.speed == slowest.speed and i < governing
         if bound.speed < slowest.speed or is_first:
-            governing, slowest = i, bound
-    return governing, slowest
+            governing, slowest, slowest_k = i, bound, bound_k
+    return governing, slowest, slowest_k
 
 
 @inlined
@@ -508,8 +515,7 @@ def bound_within(
         p = work.principals[k]
         if push > 0.0:
             line, pushed = (case.obstacle_mobility, 1.0), without_acceleration(person)
-            rest = case.force * (case.force - 2.0 * push)
-            rate = case.stiffness / rest if rest > 0.0 else math.inf
+            rate = pushed_rate(case, case.force, push)
             return person_line_bound(case, p, m, setup, line, rate, pushed, math.inf)
         return person_case_bound(case, p, m, setup, holding_rate(case, drives), person, math.inf)
     if push > 0.0:

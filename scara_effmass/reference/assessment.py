@@ -107,7 +107,7 @@ def assess(
     `qd`; empty: no errors. None as `acceleration` is a robot that does not accelerate.
     """
     none = np.zeros_like(qd)
-    acceleration = acceleration or JointAcceleration(none, none)
+    acceleration = acceleration or JointAcceleration(none, none, none)
     results = []
     for contact, own in zip(dynamics.at(q, qd).contacts[chosen], limits[chosen], strict=True):
         cases = contact_cases(own, settings)
@@ -120,13 +120,13 @@ def assess(
 class JointAcceleration(NamedTuple):
     """Joint accelerations (n,) [rad/s2, m/s2], bounds of their errors (n,), and `age` [s] of the joint state.
 
-    `shown` (n,) are those of the joint states, also where a stated one counts in their place; None: the same.
+    `shown` (n,) are those of the joint states, also where a stated one counts in their place.
     """
 
     qdd: FloatArray
     errors: FloatArray
+    shown: FloatArray
     age: float = 0.0
-    shown: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -463,8 +463,7 @@ class ContactAssessor:
             result.verdict, result.reason = Verdict.VIOLATION, Reason.TOO_FAST
         elif speed > settings.warn_ratio * nominal_speed:
             result.verdict, result.reason = Verdict.WARN, Reason.NEAR_LIMIT
-        qdd, _, _, shown = self.joint_acceleration
-        accelerations = np.abs(qdd if shown is None else shown) * self.contact.is_moved_by
+        accelerations = np.abs(self.joint_acceleration.shown) * self.contact.is_moved_by
         mass_on_spring = result.body_mass or result.worst_normal_reduced_mass
         turn = turn_until_peak(float(np.max(accelerations)), mass_on_spring, result.stiffness)
         if not result.reason and turn > MAX_TURN:

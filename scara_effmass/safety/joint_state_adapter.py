@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from difflib import SequenceMatcher
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, NamedTuple
@@ -68,10 +68,9 @@ class JointStateAdapter:
         self._held = {joint.name for joint in held}
         self._harmless = {joint.name for joint in held if joint.is_harmless}
         self._ignored = settings.ignored_joints
-        self.matched = {glob for glob in self._ignored if any(fnmatchcase(name, glob) for name in self._held)}
+        self.matched = self._ignored_by(self._held)
         """Patterns of `ignored_joints` that have fitted a joint of the joint states, or that the model holds."""
-        expected = [joint.name for joint in held if joint.is_expected]
-        self.expected = [name for name in expected if not any(fnmatchcase(name, glob) for glob in self._ignored)]
+        self.expected = [joint.name for joint in held if joint.is_expected and not self._ignored_by([joint.name])]
         """Joints that the model holds, without which joint states are incomplete."""
         self._series = {_numbered(joint) for joint in joints if _numbered(joint) != joint}
         self._map, self._joint_names = settings.joint_renames, settings.joint_names
@@ -201,11 +200,15 @@ class JointStateAdapter:
         for index, pair in enumerate(zip(reported, names, strict=True)):
             if pair[1] in joints:
                 continue
-            globs = {glob for glob in self._ignored if any(fnmatchcase(name, glob) for name in pair)}
+            globs = self._ignored_by(pair)
             self.matched |= globs
             if not globs and pair[1] not in self._harmless:
                 others.append(index)
         return tuple(others)
+
+    def _ignored_by(self, names: Iterable[str]) -> set[str]:
+        """Return the patterns of `ignored_joints` that fit one of the `names`."""
+        return {glob for glob in self._ignored if any(fnmatchcase(name, glob) for name in names)}
 
     def _continues(self, name: str) -> bool:
         """Return whether `name` continues the numbers of the robot's joints, as joint5 does after joint1 to joint4."""

@@ -39,7 +39,7 @@ class ReferenceChannel:
         records = states.view(STATE)
         for row in np.flatnonzero(records["is_admitted"]).tolist():
             q, qd, tolerance, qdd, errors, replaced = motions[row]
-            acceleration = JointAcceleration(qdd, errors, float(records["age"][row]), qdd + replaced)
+            acceleration = JointAcceleration(qdd, errors, qdd + replaced, float(records["age"][row]))
             results = assess(
                 self._dynamics, self._settings, self._limits, q, qd, tolerance.tolist(), acceleration, chosen
             )
