@@ -105,10 +105,10 @@ def approach_of(point: Point, vertex: int, motion: FloatArray, age: float, setup
     speed = norm(velocity)
     is_moving = speed >= setup.speed_threshold and speed > 0.0
     n = ZERO_VECTOR
-    if vertex >= 0 and not is_moving:
-        speed = math.sqrt(work.fastest_square)
     if is_moving:
         n = velocity[0] / speed, velocity[1] / speed, velocity[2] / speed
+    elif vertex >= 0:
+        speed = math.sqrt(work.fastest_square)
     normal, share = in_base(setup.normal_joint, setup.normal_vector, work.rotations), 1.0
     if setup.normal == Normal.FIXED and is_moving:
         share = max(abs(dot(n, normal)), MIN_NORMAL_COMPONENT)
@@ -118,7 +118,6 @@ def approach_of(point: Point, vertex: int, motion: FloatArray, age: float, setup
         is_limited, error, rate = True, setup.max_acceleration, setup.max_acceleration
     elif is_moving:
         rate = max(0.0, dot(n, add(shown, held))) + error
-    tolerance += age * rate
     return Approach(
         joint + 1,
         point.rank,
@@ -129,7 +128,7 @@ def approach_of(point: Point, vertex: int, motion: FloatArray, age: float, setup
         is_moving,
         normal,
         share,
-        tolerance,
+        tolerance + age * rate,
         shown,
         held,
         error,
