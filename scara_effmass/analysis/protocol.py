@@ -6,7 +6,8 @@ for each region the contacts with the largest force / limit.
 """
 
 import math
-from collections.abc import Iterator, Mapping
+import os
+from collections.abc import Iterable, Iterator, Mapping
 from datetime import date
 from functools import cache, partial
 from pathlib import Path
@@ -284,6 +285,28 @@ class Protocol(FrozenSettings):
     def replaced(self, test: ContactTest) -> "Protocol":
         """Return the protocol with `test` in place of the test with the same id."""
         return self.model_copy(update={"tests": tuple(test if old.id == test.id else old for old in self.tests)})
+
+    def moved(self, folder: Path, target: Path) -> "Protocol":
+        """Return the protocol of `folder` for the folder `target`: its relative paths name the same files."""
+
+        def path(name: str) -> str:
+            is_absolute = Path(name).is_absolute()
+            return name if is_absolute else os.path.relpath((folder / name).resolve(), target.resolve())
+
+        def raw(items: Iterable[Repetition | LeftOutForce]) -> tuple[Repetition | LeftOutForce, ...]:
+            return tuple(
+                item.model_copy(update={"raw_data": path(item.raw_data)}) if item.raw_data else item for item in items
+            )
+
+        if folder.resolve() == target.resolve():
+            return self
+        tests = []
+        for test in self.tests:
+            results = test.results
+            photos = results.photos and tuple(map(path, results.photos))
+            changes = {"repetitions": raw(results.repetitions), "left_out": raw(results.left_out), "photos": photos}
+            tests.append(test.with_results(**changes))
+        return self.model_copy(update={"tests": tuple(tests)})
 
 
 def read_protocol(path: Path) -> Protocol:

@@ -121,7 +121,7 @@ def _fill(args: argparse.Namespace) -> int:
         protocol, losses = _filled(args, protocol)
     protocol = evaluated(protocol, folder)
     with atomic_file(target, overwrite=overwrite, mark=MARK) as path:
-        path.write_text(protocol_yaml(protocol), encoding="utf-8")
+        path.write_text(protocol_yaml(protocol.moved(folder, target.parent)), encoding="utf-8")
     return _printed(protocol, {"output": str(target), "losses": losses}, target, as_json=args.json)
 
 

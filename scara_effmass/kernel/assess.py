@@ -62,11 +62,14 @@ from scara_effmass.kernel.spatial import dot, matrix_at, rotate_back, sub, vecto
 from scara_effmass.kernel.speed_limit import (
     Bound,
     Drives,
+    Governing,
     bound_within,
+    force_of,
     governing_case,
     governing_person_case,
     likely_case,
     pushed_rate,
+    with_push,
 )
 from scara_effmass.kernel.state import STATE, VALUES
 from scara_effmass.kernel.static_force import clamping_force, holding_force
@@ -216,18 +219,18 @@ def fill_limits(
     if setup.joints_are_coupled:
         max_force = holding_force(approach, cases, work.mobilities[:models], setup, work)
     start = likely_case(cases, worst)
-    person = person_of(approach, setup)
+    person, share = person_of(approach, setup), person_share(approach, setup, work)
+    closing_speed = setup.person_speed * share + setup.speed_uncertainty + approach.tolerance
+    hit = approach.speed * approach.share + closing_speed
     if setup.counts_person:
         fill_principals(models - 1 if choice.takes.iso else -1, count, approach, setup, work)
         has_push = setup.is_servo and approach.rank == 3  # where the point does not move, drives have no least mobility
         drives = Drives(acceleration, min_mobility, max_force, has_push)
-        governing, bound, bound_k = governing_person_case(
-            cases, start, work.mobilities[:count], drives, setup, work, person
-        )
+        governing = governing_person_case(cases, start, work.mobilities[:count], drives, setup, work, person)
     else:
         drives = Drives(acceleration, min_mobility, max_force, setup.is_servo)
-        governing, bound, bound_k = governing_case(cases, start, work.mobilities[:count], drives, setup, work)
-    case = cases[governing]
+        governing = governing_case(cases, start, work.mobilities[:count], drives, hit, setup, work)
+    case = cases[governing.case]
     mu = mass if case.body_mass == math.inf else 1.0 / (1.0 / mass + 1.0 / case.body_mass)
     worst_mu = 0.0
     for k in range(models):
@@ -246,28 +249,13 @@ def fill_limits(
         _PRESSURE if case.is_pressure else _FORCE,
         model + 1,
     )
-    share = person_share(approach, setup, work)
-    closing_speed = setup.person_speed * share + setup.speed_uncertainty + approach.tolerance
-    hit = approach.speed * approach.share + closing_speed
-    contact.force_bound = largest_force(bound, bound_k, case, work.mobilities[:count], drives, person, hit, setup, work)
-    set_verdict(contact, case, cases[point.weakest], bound, share, closing_speed, mass, approach, setup)
-
-
-@inlined
-def force_of(bound: Bound, case: Case, hit: float, setup: Setup) -> float:
-    """Return the bound of the force [N] of a contact at the speed `hit`."""
-    energy = bound.root * bound.root
-    if not setup.counts_person:
-        if bound.reduced_mass < setup.mass_cap:
-            hit = hit * (1.0 + bound.growth * hit) + bound.gain
-        energy = min(bound.reduced_mass, setup.mass_cap) * hit * hit
-    return setup.amplification * (bound.push + math.sqrt(bound.push * bound.push + case.stiffness * energy))
+    contact.force_bound = largest_force(governing, case, work.mobilities[:count], drives, person, hit, setup, work)
+    set_verdict(contact, case, cases[point.weakest], governing.bound, share, closing_speed, mass, approach, setup)
 
 
 @inlined
 def largest_force(
-    bound: Bound,
-    bound_k: int,
+    governing: Governing,
     case: Case,
     mobilities: Sequence[Mobility],
     drives: Drives,
@@ -276,15 +264,13 @@ def largest_force(
     setup: Setup,
     work: Work,
 ) -> float:
-    """Return the largest bound of the force [N] of all mobilities at `hit`; `bound` is that of one, `bound_k`."""
-    force = force_of(bound, case, hit, setup)
+    """Return the largest bound of the force [N] of all mobilities in the case that governs, at the speed `hit`."""
+    force, push = governing.force, governing.bound.push
     for k in range(len(mobilities)):
-        if k == bound_k:
-            continue
-        rate = pushed_rate(case, force / setup.amplification, bound.push)
-        other = bound_within(rate, bound.push, case, mobilities[k], k, hit, drives, person, setup, work)
-        other = Bound(0.0, other.reduced_mass, other.growth, bound.push, other.root, other.gain)
-        force = max(force, force_of(other, case, hit, setup))
+        if not governing.seen >> k & 1:
+            rate = pushed_rate(case, force / setup.amplification, push)
+            bound = bound_within(rate, push, case, mobilities[k], k, hit, drives, person, setup, work)
+            force = max(force, force_of(with_push(bound, push), case, hit, setup))
     return force
 
 

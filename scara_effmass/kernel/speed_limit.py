@@ -65,6 +65,18 @@ class Line(NamedTuple):
     mass_factor: float
 
 
+class Governing(NamedTuple):
+    """Index of the case that allows the least speed, its bound, and the largest force [N] of the mobilities in `seen`.
+
+    `seen` is a set of bits: one for each mobility whose bound was computed.
+    """
+
+    case: int
+    bound: Bound
+    force: float
+    seen: int
+
+
 is_below = inlined(reference.is_below)
 NO_BOUND = Bound(math.inf, 0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -73,6 +85,12 @@ NO_BOUND = Bound(math.inf, 0.0, 0.0, 0.0, 0.0, 0.0)
 def with_speed(bound: Bound, speed: float) -> Bound:
     """Return `bound` with another speed."""
     return Bound(speed, bound.reduced_mass, bound.growth, bound.push, bound.root, bound.gain)
+
+
+@inlined
+def with_push(bound: Bound, push: float) -> Bound:
+    """Return `bound` with another push of the drives [N]."""
+    return Bound(bound.speed, bound.reduced_mass, bound.growth, push, bound.root, bound.gain)
 
 
 @inlined
@@ -268,7 +286,7 @@ def push_bound(
                 return Bound(-math.inf, 0.0, 0.0, force, 0.0, 0.0)
         bound = free_bound(case, m, factor, case.stiffness / rest, least)
         slowest = bound if k == 0 else slower(slowest, bound)
-    return Bound(slowest.speed, slowest.reduced_mass, slowest.growth, force, 0.0, 0.0)
+    return with_push(slowest, force)
 
 
 @inlined
@@ -310,33 +328,63 @@ def case_index(n: int, count: int) -> int:
 
 
 @inlined
+def force_of(bound: Bound, case: Case, hit: float, setup: Setup) -> float:
+    """Return the bound of the force [N] of a contact at the speed `hit`."""
+    energy = bound.root * bound.root
+    if not setup.counts_person:
+        if bound.reduced_mass < setup.mass_cap:
+            hit = hit * (1.0 + bound.growth * hit) + bound.gain
+        energy = min(bound.reduced_mass, setup.mass_cap) * hit * hit
+    return setup.amplification * (bound.push + math.sqrt(bound.push * bound.push + case.stiffness * energy))
+
+
+@inlined
+def with_mobility(governing: Governing, k: int, bound: Bound, case: Case, hit: float, setup: Setup) -> Governing:
+    """Return `governing` with the bound of mobility `k`, if there is one."""
+    if bound.speed == math.inf:
+        return governing
+    force = max(governing.force, force_of(bound, case, hit, setup))
+    return Governing(governing.case, slower(governing.bound, bound), force, governing.seen | 1 << k)
+
+
+@inlined
+def first_slowest(governing: Governing, other: Governing) -> Governing:
+    """Return the one with the smaller speed; of equal ones that of the first case."""
+    speed, least = other.bound.speed, governing.bound.speed
+    return other if speed < least or (speed == least and other.case < governing.case) else governing
+
+
+@inlined
 def governing_case(
-    cases: Sequence[Case], start: int, mobilities: Sequence[Mobility], drives: Drives, setup: Setup, work: Work
-) -> tuple[int, Bound, int]:
-    """Return the case that allows the least speed, its bound, and whose mobility's it is; -1: of any.
+    cases: Sequence[Case],
+    start: int,
+    mobilities: Sequence[Mobility],
+    drives: Drives,
+    hit: float,
+    setup: Setup,
+    work: Work,
+) -> Governing:
+    """Return the case that allows the least speed, with forces at the speed `hit` [m/s].
 
     `start` is the first case that is tried.
     """
-    factor, governing, slowest, slowest_k = setup.mass_factor, 0, NO_BOUND, -1
+    governing = Governing(0, NO_BOUND, 0.0, 0)
     fill_bounds(mobilities, setup, work)
     for n in range(len(cases)):
         i = case_index(start + n, len(cases))
-        case, bound, bound_k = cases[i], NO_BOUND, -1
+        case, tried = cases[i], Governing(i, NO_BOUND, 0.0, 0)
         rate = holding_rate(case, drives)
         for k in range(len(mobilities)):
-            least = min(slowest.speed, bound.speed)
+            least = min(governing.bound.speed, tried.bound.speed)
             if not is_no_slower(case, mobilities[k], k, rate, least, work):
-                other = case_bound(case, mobilities[k], factor, rate, least)
-                bound_k = k if is_below(other.speed, bound.speed) else bound_k
-                bound = slower(bound, other)
-        if drives.has_push and bound.speed <= slowest.speed:
-            other = push_bound(case, mobilities, drives, setup, bound.speed, slowest.speed)
-            if bound.speed < other.speed:
-                bound, bound_k = other, -1
-        is_first = bound.speed == slowest.speed and i < governing
-        if bound.speed < slowest.speed or is_first:
-            governing, slowest, slowest_k = i, bound, bound_k
-    return governing, slowest if slowest.speed < math.inf else NO_BOUND, slowest_k
+                bound = case_bound(case, mobilities[k], setup.mass_factor, rate, least)
+                tried = with_mobility(tried, k, bound, case, hit, setup)
+        if drives.has_push and tried.bound.speed <= governing.bound.speed:
+            bound = push_bound(case, mobilities, drives, setup, tried.bound.speed, governing.bound.speed)
+            if tried.bound.speed < bound.speed:
+                tried = Governing(i, bound, force_of(bound, case, hit, setup), 0)
+        governing = first_slowest(governing, tried)
+    return governing
 
 
 @inlined
@@ -460,7 +508,7 @@ def person_push_bound(
     for k in range(len(mobilities)):
         bound = person_line_bound(case, work.principals[k], mobilities[k], setup, line, rate, person, least)
         slowest = slower(slowest, no_slower_than_at_rest(bound, person))
-    return Bound(slowest.speed, slowest.reduced_mass, 0.0, force, slowest.root, 0.0)
+    return with_push(slowest, force)
 
 
 @inlined
@@ -472,26 +520,23 @@ def governing_person_case(
     setup: Setup,
     work: Work,
     person: Person,
-) -> tuple[int, Bound, int]:
+) -> Governing:
     """Return what `governing_case` does, with a moving person."""
-    governing, slowest, slowest_k = 0, NO_BOUND, -1
+    governing = Governing(0, NO_BOUND, 0.0, 0)
     for n in range(len(cases)):
         i = case_index(start + n, len(cases))
-        case, bound, bound_k = cases[i], NO_BOUND, -1
+        case, tried = cases[i], Governing(i, NO_BOUND, 0.0, 0)
         rate = holding_rate(case, drives)
         for k in range(len(mobilities)):
-            least = min(slowest.speed, bound.speed)
-            other = person_case_bound(case, work.principals[k], mobilities[k], setup, rate, person, least)
-            bound_k = k if is_below(other.speed, bound.speed) else bound_k
-            bound = slower(bound, other)
-        if drives.has_push and bound.speed <= slowest.speed:
-            other = person_push_bound(case, mobilities, drives, setup, work, person, slowest.speed)
-            if bound.speed < other.speed:
-                bound, bound_k = other, -1
-        is_first = bound.speed == slowest.speed and i < governing
-        if bound.speed < slowest.speed or is_first:
-            governing, slowest, slowest_k = i, bound, bound_k
-    return governing, slowest, slowest_k
+            least = min(governing.bound.speed, tried.bound.speed)
+            bound = person_case_bound(case, work.principals[k], mobilities[k], setup, rate, person, least)
+            tried = with_mobility(tried, k, bound, case, 0.0, setup)
+        if drives.has_push and tried.bound.speed <= governing.bound.speed:
+            bound = person_push_bound(case, mobilities, drives, setup, work, person, governing.bound.speed)
+            if tried.bound.speed < bound.speed:
+                tried = Governing(i, bound, force_of(bound, case, 0.0, setup), 0)
+        governing = first_slowest(governing, tried)
+    return governing
 
 
 @inlined

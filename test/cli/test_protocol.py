@@ -137,6 +137,15 @@ def test_fill_evaluates_what_was_typed_in(cli: Cli, protocol: Path, tmp_path: Pa
     assert test.results.evaluation
 
 
+def test_fill_into_another_folder_names_the_same_files(cli: Cli, protocol: Path, tmp_path: Path) -> None:
+    (tmp_path / "report").mkdir()
+    assert cli("protocol", "fill", protocol, "-o", "report/filled.yaml").returncode == 0
+    (test,) = read_protocol(tmp_path / "report/filled.yaml").tests
+    assert {item.raw_data for item in test.results.repetitions} == {"../raw.csv"}
+    done = cli("protocol", "report", "report/filled.yaml", "-o", "page")
+    assert (done.returncode, done.stdout.splitlines()[0].split()) == (0, ["verdict", "OK"])
+
+
 @pytest.mark.parametrize(
     ("change", "problem"),
     [
