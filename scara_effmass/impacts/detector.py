@@ -127,8 +127,9 @@ class Detector:
 
     An impact is returned once a quiet frame has followed it; in a train of contacts, that may take `settings.longest`.
     If the force stays, the impact is returned when the force is released, when it has been steady (for
-    `settings.longest`, or at rest for REST_TIME) and thus becomes the baseline, or MAX_HELD_S after the onset. It then
-    states the `held_force`. Contacts on a baseline that an earlier contact left state that `load_force`.
+    `settings.longest`, or at rest for REST_TIME, or for BASELINE_FRAMES frames before it rises) and thus becomes the
+    baseline, or MAX_HELD_S after the onset. It then states the `held_force`. Contacts on a baseline that an earlier
+    contact left state that `load_force`.
 
     Counted from the beginning: `dropouts`; `glitches` (single samples); `sustained_contacts`, longer than
     `settings.longest`; and `tensile_pulses`, which would be impacts if the sign of the force were inverted, and hint at
@@ -350,15 +351,15 @@ class Detector:
         threshold = self._baseline.threshold
         if self._first_search or np.median(recent_levels) <= self._baseline.force + threshold:
             return False
-        if self._is_at_rest():
+        if self._is_at_rest(self._rest_frames):
             return False
         return bool(len(levels) < self._load_frames or np.ptp(levels) > threshold)
 
-    def _is_at_rest(self) -> bool:
-        """Return whether the force hardly moves, as that of a thing that lies still."""
-        rest = list(self._candidates)[-self._rest_frames :]
+    def _is_at_rest(self, frames: int) -> bool:
+        """Return whether the force hardly moved in the latest `frames`, as that of a thing that lies still."""
+        rest = list(self._candidates)[-frames:]
         levels = [frame.median_and_deviation[0] for frame in rest]
-        if len(rest) < self._rest_frames or np.ptp(levels) > REST_SHARE * self._baseline.threshold:
+        if len(rest) < frames or np.ptp(levels) > REST_SHARE * self._baseline.threshold:
             return False
         return not any(self._baseline.is_stuck(frame.samples) for frame in rest)
 
@@ -397,10 +398,12 @@ class Detector:
         if high - level > threshold:
             self.left_out.add(NO_BASELINE, high - level, stamp_ns)
 
-    def _lose_baseline(self, start: int, *, at_rest: bool = False) -> list[Impact]:
+    def _lose_baseline(
+        self, start: int, longest: float | None = None, transient_s: float = TRANSIENT_S
+    ) -> list[Impact]:
         """Report the segment from `start`, and search for another baseline from here on."""
         sustained = self.sustained_contacts
-        contacts = self._classify(start, self._processed, TRANSIENT_S if at_rest else None)
+        contacts = self._classify(start, self._processed, longest, transient_s)
         if not contacts:  # a load goes
             self._extend(start, self._processed)
         goes_on = bool(contacts) and self._goes_on(contacts[-1], start)
@@ -451,16 +454,40 @@ class Detector:
         ):
             self._candidates.clear()
             return self._lose_baseline(self._segment_start)
+        if self._rises_from_rest(frame):
+            self._processed -= self._frame_size
+            within_rest_s = (BASELINE_FRAMES - 1) * self._frame_size / self._rate
+            return self._end_at_rest(self._segment_start, min(within_rest_s, TRANSIENT_S))
         if frame.is_present:
             self._candidates.append(frame)
         return self._end_long_segment(self._segment_start, level)
+
+    def _rises_from_rest(self, frame: Frame) -> bool:
+        """Return whether the force rises in `frame` as in a contact, from a load on which it was at rest until then."""
+        if not self._is_at_rest(BASELINE_FRAMES):
+            return False
+        rest = Baseline(self._settings, self._candidates)
+        if rest.force <= self._baseline.force + QUIET_LEVEL * self._baseline.threshold:
+            return False
+        return frame.high > rest.force + rest.threshold and all(map(rest.is_quiet, rest.frames))
+
+    def _end_at_rest(self, start: int, transient_s: float = TRANSIENT_S) -> list[Impact]:
+        """Report the segment from `start` on, whose peaks are those of `transient_s`; the load becomes the baseline."""
+        impacts = self._lose_baseline(start, TRANSIENT_S, transient_s)
+        impacts += self._adopt(list(self._candidates)[-BASELINE_FRAMES:])
+        self._counted = self._processed
+        return impacts
 
     def _end_long_segment(self, start: int, level: float) -> list[Impact]:
         """Report the segment from `start` on if it is long or its force, at `level` in the last frame, is at rest."""
         rate, length = self._buffer.block_at(start).sample_rate, self._processed - start
         margin = 3 * self._frame_size  # before the contact
-        if level > self._baseline.threshold and length > TRANSIENT_S * rate + margin and self._is_at_rest():
-            return self._lose_baseline(start, at_rest=True)
+        if (
+            level > self._baseline.threshold
+            and length > TRANSIENT_S * rate + margin
+            and self._is_at_rest(self._rest_frames)
+        ):
+            return self._end_at_rest(start)
         return self._split(start) if length > self._settings.longest * rate + 2 * self._frame_size else []
 
     def _update_baseline(self, frame: Frame) -> None:
@@ -551,10 +578,13 @@ class Detector:
         self._end_slow()
         return impacts
 
-    def _classify(self, start: int, stop: int, longest: float | None = None) -> list[DetectedContact]:
+    def _classify(
+        self, start: int, stop: int, longest: float | None = None, transient_s: float = TRANSIENT_S
+    ) -> list[DetectedContact]:
         """Return the contacts in the samples [start, stop), and count what else is new in them.
 
-        A load that swings for `longest` [s], by default that of the settings, is one contact.
+        A load that swings for `longest` [s], by default that of the settings, is one contact. The peak of a contact is
+        that of its first `transient_s`.
         """
         buffer, rate = self._buffer, self._buffer.block_at(start).sample_rate
         samples, saturated = buffer.samples(start, stop), buffer.saturated(start, stop)
@@ -565,7 +595,7 @@ class Detector:
             gap=max(round(GAP_TIME * rate), MIN_GAP_SAMPLES),
             margin=self._frame_size,
             longest=round((longest or self._settings.longest) * rate),
-            transient=round(TRANSIENT_S * rate),
+            transient=round(transient_s * rate),
         )
         self.dropouts += int(np.count_nonzero(segment.dropouts + start >= self._counted))
         self.glitches += int(np.count_nonzero(segment.glitches + start >= self._counted))
@@ -631,7 +661,8 @@ class Detector:
         onset = start + contact.onset
         is_rebound = onset - self._end <= self._settings.rebound_time * block.sample_rate
         rebound = self._rebound + 1 if is_rebound else 0
-        if not self._is_sustained(contact, start):
+        is_press = contact.held > 0.0 and not contact.compression_area
+        if not is_press and not self._is_sustained(contact, start):  # neither has rebounds
             self._rebound, self._end = rebound, start + contact.end
         samples_into_block = (start - block.first_sample) + contact.onset
         return Impact(

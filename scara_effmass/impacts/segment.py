@@ -128,11 +128,11 @@ class Baseline:
 
     def __init__(self, settings: DetectionSettings, frames: Iterable[Frame] = ()) -> None:
         self._settings = settings
-        self._frames = tuple(frames)[-BASELINE_FRAMES:]
+        self.frames = tuple(frames)[-BASELINE_FRAMES:]
 
     def extended(self, frames: Iterable[Frame]) -> Baseline:
         """Return the baseline after further quiet `frames`, which replace the oldest ones."""
-        return Baseline(self._settings, (*self._frames, *frames))
+        return Baseline(self._settings, (*self.frames, *frames))
 
     @property
     def force(self) -> float:
@@ -147,7 +147,7 @@ class Baseline:
     @cached_property
     def threshold(self) -> float:
         """Force above the baseline beyond which there is a contact."""
-        return self.threshold_for(self.noise) if self._frames else math.inf
+        return self.threshold_for(self.noise) if self.frames else math.inf
 
     @cached_property
     def flat_run(self) -> int:
@@ -165,7 +165,7 @@ class Baseline:
     @cached_property
     def drift(self) -> float:
         """Distance from the level [N] within which a quiet sensor of coarse resolution repeats any value; else 0."""
-        levels = np.unique(np.concatenate([frame.samples for frame in self._frames]))
+        levels = np.unique(np.concatenate([frame.samples for frame in self.frames]))
         return _COARSE_STEPS * float(np.ptp(levels)) if levels.size == _COARSE_LEVELS else 0.0
 
     def is_stuck(self, samples: FloatArray) -> bool:
@@ -183,7 +183,7 @@ class Baseline:
         """Return whether `frame` contains neither a contact, nor a tensile pulse, nor a dropout, nor a large gap."""
         if not frame.is_present:
             return False
-        low, high = min([f.low for f in self._frames]), max([f.high for f in self._frames])
+        low, high = min([f.low for f in self.frames]), max([f.high for f in self.frames])
         # Fast path without statistics: the level of the baseline lies between the extremes of its frames.
         is_near = high - self._settings.threshold <= frame.low and frame.high <= low + self._settings.threshold
         if not is_near and not self.force - self.threshold <= frame.low <= frame.high <= self.force + self.threshold:
@@ -201,9 +201,9 @@ class Baseline:
 
     @cached_property
     def _force_and_noise(self) -> tuple[float, float]:
-        if not self._frames:
+        if not self.frames:
             return 0.0, 0.0
-        parts = [frame.subsamples for frame in self._frames]
+        parts = [frame.subsamples for frame in self.frames]
         force, noise = median_and_deviation(np.concatenate(parts))
         if noise == 0.0:  # by frame: a contact before the first baseline affects only a minority of the frames
             noise = float(np.median([quantisation_deviation(part, force) for part in parts]))
@@ -216,8 +216,8 @@ class Baseline:
 
     def _share(self, mark: Callable[[FloatArray], BoolArray]) -> float:
         """Return the share of samples that `mark` marks; one more is counted, so that it is never zero."""
-        marked = sum(int(np.count_nonzero(mark(frame.samples))) for frame in self._frames)
-        return (1 + marked) / (1 + sum(frame.samples.size for frame in self._frames))
+        marked = sum(int(np.count_nonzero(mark(frame.samples))) for frame in self.frames)
+        return (1 + marked) / (1 + sum(frame.samples.size for frame in self.frames))
 
 
 class DetectedContact(NamedTuple):

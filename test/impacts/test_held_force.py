@@ -80,6 +80,36 @@ def test_things_that_are_dropped_and_stay_are_found_each_on_the_load_of_the_othe
 
 
 @rates
+@pytest.mark.parametrize("step", [4.8, 5.2, 20.0])  # [N] noise brings the smallest one to the threshold
+@pytest.mark.parametrize("later", [0.4, 0.6, 0.613, 0.8])
+def test_an_impact_soon_after_a_step_of_the_zero_is_a_contact_on_it(
+    detect: Detect, rate: float, step: float, later: float
+) -> None:
+    """The step is a press, which has no rebounds, and no force of the impact is in it."""
+    time = time_axis(6.0, rate)
+    force = noise(time) + step * (time >= 3.0)
+    force += 173.0 * np.sin(np.pi * np.clip((time - 3.0 - later) / 0.03, 0.0, 1.0))
+    (press_, impact), detector = detect(force, rate)
+    assert press_.is_press
+    assert (press_.peak_force, press_.held_force) == pytest.approx((step, step), abs=0.7)
+    assert impact.onset_sample / rate == pytest.approx(3.0 + later, abs=0.003)
+    assert impact.peak_force == pytest.approx(173.0, rel=0.02)
+    assert impact.load_force == pytest.approx(step if step > 5.0 else 0.0, abs=0.3)
+    assert (impact.rebound, impact.is_press, impact.incomplete) == (0, False, False)
+    assert list(detector.left_out) == []
+
+
+@rates
+def test_a_single_sample_after_a_step_of_the_zero_is_counted(detect: Detect, rate: float) -> None:
+    time = time_axis(6.0, rate)
+    force = noise(time) + 5.2 * (time >= 3.0)
+    force[round(3.5 * rate)] += 300.0
+    (impact,), detector = detect(force, rate)
+    assert (impact.peak_force, impact.held_force) == pytest.approx((5.4, 5.4), abs=0.3)
+    assert peaks_by_reason(detector) == pytest.approx({SINGLE_SAMPLE: 300.0}, abs=0.5)
+
+
+@rates
 def test_presses_are_found_also_after_short_pauses(detect: Detect, rate: float) -> None:
     time = time_axis(20.0, rate)
     starts = 2.0 + 2.1 * np.arange(8)
