@@ -148,9 +148,10 @@ def clock_text(result: Result) -> str:
     clock = result.clock_offset
     if not clock.impacts:
         return "offset unknown: the velocity shows no impact"
-    extremes = f"{1e3 * clock.low:+.1f} to {1e3 * clock.high:+.1f} ms"
-    shown = f"{clock.impacts} impacts, resolution {1e3 * clock.resolution:.1f} ms"
-    return f"joint states {1e3 * clock.offset:+.1f} ms behind the force ({extremes}; {shown})"
+    shown = f"{clock.extremes}; {clock.impacts} impacts, resolution {1e3 * clock.resolution:.1f} ms"
+    if math.isnan(clock.offset):
+        return f"offset unknown: single impacts disagree ({shown})"
+    return f"joint states {1e3 * clock.offset:+.1f} ms behind the force ({shown})"
 
 
 def worst_impact(result: Result) -> ValidatedImpact | None:

@@ -10,12 +10,10 @@ from typing import NamedTuple
 import numpy as np
 
 from scara_effmass.impacts.agreement import MIN_RELATIVE_RANGE, Agreement, Interval, MassFit
-from scara_effmass.impacts.state_history import LONGEST_CONTACT_S, ClockOffset
+from scara_effmass.impacts.state_history import LONGEST_CONTACT_S, MAX_BEYOND_SHARE, ClockOffset
 from scara_effmass.settings import CriterionSettings
 from scara_effmass.values import FloatArray
 
-MAX_BEYOND_SHARE = 0.2
-"""Maximum share of impacts whose clock offset exceeds the tolerance: a rebound can hide the kink."""
 MIN_KINK_SHARE = 0.5
 """Minimum share of impacts with a kink in the velocity."""
 MAX_EXPONENT_HALF_WIDTH = 0.05
@@ -67,7 +65,7 @@ def decide(criterion: CriterionSettings, series: Series, problem: str = "") -> A
     for reason in _too_few(criterion, series):
         return Acceptance(accepted=False, decidable=False, reason=reason)
     for reason in _rejections(criterion, series):
-        return Acceptance(accepted=False, decidable=True, reason=reason)
+        return Acceptance(accepted=False, decidable=True, reason=f"{reason}{_clock_cause(series.clock)}")
     for reason in _doubts(criterion, series):
         return Acceptance(accepted=False, decidable=False, reason=f"{reason}; next: {_next(criterion, series)}")
     return Acceptance(accepted=True, decidable=True, reason="")
@@ -86,9 +84,12 @@ def _too_few(criterion: CriterionSettings, series: Series) -> Iterator[str]:
 
 def _rejections(criterion: CriterionSettings, series: Series) -> Iterator[str]:
     agreement, fit, clock, exponent = series.agreement, series.fit, series.clock, _law(criterion)
-    if clock.beyond > MAX_BEYOND_SHARE * clock.impacts:
+    if _is_apart(clock):
+        offset = f"are {1e3 * clock.offset:+.1f} ms behind the force (median)"
+        if math.isnan(clock.offset):
+            offset = f"and the force are apart by an unknown time, {clock.extremes} by single impacts"
         limit = f"{clock.beyond} of {_impacts(clock.impacts)} exceed {1e3 * criterion.largest_clock_offset:g} ms"
-        yield f"the joint states are {1e3 * clock.offset:+.1f} ms behind the force (median): {limit}"
+        yield f"the joint states {offset}: {limit}"
     if not agreement.correlation_reason and agreement.correlation < criterion.least_correlation:
         yield f"correlation {agreement.correlation:.4f} is below {criterion.least_correlation:g}"
     if agreement.relative_rmse > criterion.largest_relative_rmse:
@@ -175,6 +176,17 @@ def _next(criterion: CriterionSettings, series: Series) -> str:
         count = math.ceil(max(fit.cells, 4) * ratio**2)
         steps.append(f"{count} combinations of pose and obstacle in place of {fit.cells}")
     return ", ".join(steps)
+
+
+def _is_apart(clock: ClockOffset) -> bool:
+    return clock.beyond > MAX_BEYOND_SHARE * clock.impacts
+
+
+def _clock_cause(clock: ClockOffset) -> str:
+    """Return that the clocks can be the cause of a rejection: states a few ms late have been slowed by the impact."""
+    if _is_apart(clock) or not abs(clock.offset) > 2.0 * clock.resolution:
+        return ""
+    return f"; the joint states are {1e3 * clock.offset:+.1f} ms behind the force (median), which may be the cause"
 
 
 def _percent(share: float) -> str:

@@ -303,14 +303,14 @@ class ImpactMatcher:
             if self._settings.obstacle_fixed:
                 run = run._replace(obstacle_mass=math.inf)
             state = self._onset_state(impact, received_ns, run.normal)
+            kink = self.states.kink(impact.stamp_ns, impact.duration, self._deadline_ns(received_ns))
             if not run.force_share >= MIN_NORMAL_COMPONENT:  # normal and guide can come from different sources
                 self.refuse(impact, Rejection("the guide lies in the plate", "check plate_normal and guide_direction"))
             elif isinstance(state, Rejection):
-                self.refuse(impact, state)
+                self.refuse(impact, state.with_clock(kink))
             elif not run.obstacle_mass:
                 self.refuse(impact, Rejection("obstacle_mass is not given", "set it to the mass of the obstacle [kg]"))
             else:
-                kink = self.states.kink(impact.stamp_ns, impact.duration, self._deadline_ns(received_ns))
                 yield MatchedImpact(impact, state, run, kink)
 
     def _ready(self, impact: Impact, received_ns: int) -> bool:

@@ -30,6 +30,8 @@ MIN_RIVAL_LOSS = 0.1
 """Sudden losses of speed below this share of the largest one do not vote for the offset of a recording."""
 MAX_RIVAL = 0.9
 """No offset is found if another one has more than this share of its votes."""
+MAX_BEYOND_SHARE = 0.2
+"""Maximum share of impacts whose clock offset exceeds the tolerance: a rebound can hide the kink."""
 MAX_VOTERS = 500
 """Maximum number of impacts, and of kinks, that vote: the strongest ones."""
 NOISE_FACTOR = 6.0
@@ -49,8 +51,9 @@ _SPEED, _DIRECTION, _MASSES, _LUMPED, _FULL = 0, slice(1, 4), slice(4, 7), slice
 class ClockOffset(NamedTuple):
     """Offset of the joint clock from the force clock [s] over `impacts` that show a kink.
 
-    Positive: the force is stamped earlier than the joint states. `offset` is the median, `low` and `high` are the
-    extremes, `resolution` is half of the longest period of the states. `beyond` impacts exceed the tolerance.
+    Positive: the force is stamped earlier than the joint states. `offset` is the median, NaN if the impacts disagree,
+    `low` and `high` are the extremes, `resolution` is half of the longest period of the states. `beyond` impacts exceed
+    the tolerance.
     """
 
     impacts: int
@@ -59,6 +62,11 @@ class ClockOffset(NamedTuple):
     high: float
     resolution: float
     beyond: int
+
+    @property
+    def extremes(self) -> str:
+        """The smallest and the largest offset as text."""
+        return f"{1e3 * self.low:+.1f} to {1e3 * self.high:+.1f} ms"
 
 
 class Kink(NamedTuple):
@@ -148,14 +156,19 @@ def recording_offset(
 
 
 def clock_offset(kinks: Iterable[Kink], tolerance: float) -> ClockOffset:
-    """Return the offset of a series; without kinks, its resolution is infinite."""
+    """Return the offset of a series; without kinks, its resolution is infinite.
+
+    Impacts disagree if more than MAX_BEYOND_SHARE of them are farther than twice the `tolerance` [s] from the median.
+    """
     kinks = list(kinks)
     if not kinks:
         return ClockOffset(0, math.nan, math.nan, math.nan, math.inf, 0)
     delays = np.array([kink.delay for kink in kinks])
+    median = float(np.median(delays))
+    agrees = np.mean(np.abs(delays - median) > 2.0 * tolerance) <= MAX_BEYOND_SHARE
     return ClockOffset(
         impacts=len(kinks),
-        offset=float(np.median(delays)),
+        offset=median if agrees else math.nan,
         low=float(delays.min()),
         high=float(delays.max()),
         resolution=max(kink.resolution for kink in kinks),
@@ -189,6 +202,13 @@ class Rejection(NamedTuple):
 
     reason: str
     detail: str = ""
+
+    def with_clock(self, kink: Kink | None) -> "Rejection":
+        """Return the rejection with the offset of the clocks that `kink` shows, which may be its cause."""
+        if kink is None or not abs(kink.delay) > 2.0 * kink.resolution:
+            return self
+        offset = f"the joint states are {1e3 * kink.delay:+.1f} ms behind the force"
+        return self._replace(detail="; ".join(filter(None, [self.detail, offset])))
 
 
 class _State(NamedTuple):

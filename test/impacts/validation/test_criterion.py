@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -68,6 +69,14 @@ def test_true_series_is_accepted_without_a_reason() -> None:
         (
             {"clock": CLOCK._replace(offset=0.02, beyond=20)},
             "the joint states are +20.0 ms behind the force (median): 20 of 20 impacts exceed 5 ms",
+        ),
+        (
+            {"clock": CLOCK._replace(offset=math.nan, low=-0.0439, high=0.045, beyond=20)},
+            "the joint states and the force are apart by an unknown time, -43.9 to +45.0 ms by single impacts: 20",
+        ),
+        (
+            {"agreement": replace(GOOD, correlation=0.0938), "clock": CLOCK._replace(offset=-0.0039)},
+            "correlation 0.0938 is below 0.95; the joint states are -3.9 ms behind the force (median), which may be",
         ),
         ({"clock": CLOCK._replace(beyond=5)}, "the joint states are +0.4 ms behind the force (median): 5 of 20"),
         ({"fit": fit_of(masses=np.roll(MASSES, 4))}, "impulses scatter by 49.4%, at most 5% may be; largest for m_H"),

@@ -333,6 +333,16 @@ def test_clocks_apart(make_cell: MakeCell, ahead_s: float) -> None:
     assert not any(model.accepted for model in result.models)
 
 
+def test_a_refused_impact_states_the_offset_that_its_velocity_shows(make_cell: MakeCell) -> None:
+    """20 ms later, the robot is as slow as the settings call standing still."""
+    settings = ValidatorSettings(history=60.0, speed_threshold=0.15)
+    _, result = run(make_cell(force_clock_ns=20 * MS, step_ms=1), settings)
+    assert result.unpaired == {"the robot stands still at the onset": 12}
+    assert {impact.detail for impact in result.refused} == {
+        "0.1000 m/s; the joint states are -20.5 ms behind the force"
+    }
+
+
 def test_force_blocks_detect_smaller_clock_offsets(campaign: Cell) -> None:
     """They show offsets from 0.5 s on; the late arrival of an impact alone could be a late report."""
     validator = Validator(ValidatorSettings(history=60.0))
