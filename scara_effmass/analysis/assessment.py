@@ -334,7 +334,7 @@ class ClockSkew:
 def input_lines(
     settings: MonitorSettings, time: Time = Time.LIVE, velocities: Path | None = None
 ) -> Iterator[tuple[str, str]]:
-    """Yield subject and text of each difference of the assessed joint states from the recorded ones."""
+    """Yield subject and text of each difference from the recorded joint states, and of settings without effect."""
     if settings.joint_map:
         yield "joint names", f"mapped by joint_map: {', '.join(settings.joint_map)}"
     if settings.joint_names:
@@ -350,6 +350,7 @@ def input_lines(
         yield "velocity", f"computed from positions: {line}"
     elif window_s:
         yield "velocity", f"filtered: mean {delay}"
+    yield from (("no effect", line) for line in settings.without_effect())
     if time is not Time.LIVE:
         yield "time", "header stamps alone" if time is Time.HEADER else "log times in place of header stamps"
 

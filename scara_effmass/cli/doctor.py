@@ -101,7 +101,7 @@ def _draw_hulls(dynamics: RobotDynamics, path: Path, *, overwrite: bool) -> Chec
 
 def cell_results(settings: MonitorSettings) -> tuple[list[CheckResult], RobotDynamics | None]:
     """Return the results for limits and robot of `settings`, and the robot, None if it cannot be loaded."""
-    results = [*_limits(settings)]
+    results = [*_limits(settings), *(CheckResult("note", "settings", line) for line in settings.without_effect())]
     try:
         dynamics = load_dynamics(settings)
     except RobotError as error:
@@ -180,6 +180,7 @@ def _daq(params: Path | None) -> Iterator[CheckResult]:
     except SettingsError as error:
         settings = DaqSettings()
         yield CheckResult("note", "daq_node", f"{error}; the defaults are checked instead")
+    yield from (CheckResult("note", "daq_node", line) for line in settings.without_effect())
     try:
         driver = import_module("scara_effmass.daq.ni_driver")
         yield CheckResult("ok", "NI-DAQmx", driver.driver_version())

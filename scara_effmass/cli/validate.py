@@ -41,6 +41,7 @@ def run(args: argparse.Namespace) -> int:
     validation = with_motion(validated(args, settings), dynamics, settings)
     result = write_report(validation, settings, dynamics.robot, args.output, page, overwrite=args.force)
     notes = [robot_line(dynamics.robot, settings.monitor), *input_lines(settings.monitor, settings.time)]
+    notes += [("no effect", line) for line in settings.validator.without_effect()]
     lines = [*summary_lines(validation), *notes, ("written", args.output / PAGE)]
     print_result({**result, "output": str(args.output)}, lines, as_json=args.json)
     return 0 if validation.result.accepted and validation.result.within_limits else NOT_ACCEPTED

@@ -17,7 +17,6 @@ from rclpy.parameter import Parameter
 from scara_effmass.errors import SettingsError
 from scara_effmass.settings.loading import (
     FrozenSettings,
-    Settings,
     applies,
     check_types,
     checked,
@@ -45,6 +44,7 @@ class NodeParameters(FrozenSettings):
     )
 
 
+Settings = TypeVar("Settings", bound=FrozenSettings)
 Parameters = TypeVar("Parameters", bound=NodeParameters)
 
 
@@ -52,7 +52,7 @@ def declare(node: Node, settings: type[Settings]) -> Settings:
     """Declare every field of `settings` on `node` and return the settings: overrides or defaults.
 
     Raises SettingsError for an unknown parameter and for a value of the wrong type or range. Those that are stated for
-    all nodes and resemble none of this one are ignored with a warning.
+    all nodes and resemble none of this one are ignored with a warning; settings without effect give one, too.
     """
     _require_own_sections(node)
     # A private attribute, because automatically_declare_parameters_from_overrides raises on an empty list.
@@ -68,6 +68,8 @@ def declare(node: Node, settings: type[Settings]) -> Settings:
             raise SettingsError(f"{node.get_name()}: no parameter {name!r}: {nearest(name, fields)}")
     check_types(settings, values, node.get_name())
     checked_settings = checked(settings, values, node.get_name())
+    for line in checked_settings.without_effect():
+        node.get_logger().warning(line)
     for name, field in fields.items():
         parameter = _parameter(name, values.get(name, field.default))
         # Declare the type, then set the value: rclpy cannot infer the type of an empty list.

@@ -140,6 +140,9 @@ class DaqSettings(FrozenSettings):
     bag: BagSettings = BagSettings()
     sim: SimSettings = SimSettings()
 
+    def _needs(self) -> dict[str, tuple[bool, str]]:
+        return {"filter.cutoff": (self.filter.kind != "none", "a filter.kind")}
+
 
 class ImportSettings(FrozenSettings):
     """Select the force in a file, and state what the file does not."""

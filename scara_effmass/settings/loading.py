@@ -7,6 +7,7 @@ import reprlib
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from enum import Enum
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_origin
 
@@ -56,6 +57,19 @@ class FrozenSettings(BaseModel):
     """Settings that refuse unknown names and numbers that are not finite. Raises ValidationError; see `checked`."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    def without_effect(self) -> list[str]:
+        """Return a line for each setting that differs from its default but has no effect, with what it needs."""
+        lines, fields = [], flat_fields(type(self))
+        for name, (has_effect, need) in self._needs().items():
+            value = attrgetter(name)(self)
+            if value != fields[name].default and not has_effect:
+                lines.append(f"{name} = {value} has no effect without {need}")
+        return lines
+
+    def _needs(self) -> dict[str, tuple[bool, str]]:
+        """Return for each setting that depends on others whether it has an effect, and what it needs."""
+        return {}
 
 
 def checked(kind: type[Settings], values: Mapping[str, Any], origin: str) -> Settings:

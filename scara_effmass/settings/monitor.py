@@ -430,6 +430,27 @@ class MonitorSettings(FrozenSettings):
             raise ValueError("must be 0 unless contact_normal is worst: no bound holds for a known one")
         return friction
 
+    def _needs(self) -> dict[str, tuple[bool, str]]:
+        is_servo, is_clamped = self.drives is Drives.SERVO, self.contact is ContactType.QUASI_STATIC
+        whole_arm = not self.contact_points or WHOLE_ARM in self.contact_points
+        return {
+            "contact_links": (whole_arm, f"{WHOLE_ARM} among contact_points"),
+            "payload_com": (self.payload_mass > 0.0, "payload_mass"),
+            "link_uncertainty": (self.effort_uncertainty > 0.0, "effort_uncertainty"),
+            "person_direction": (self.person_speed > 0.0, "person_speed"),
+            "person_direction_frame": (self.fixed_person_direction is not None, "person_direction"),
+            "contact_normal_frame": (self.fixed_normal is not None, "a fixed contact_normal"),
+            "test_direction_frame": (self.fixed_test_direction is not None, "test_direction"),
+            "servo.bandwidth": (is_servo, "drives = servo"),
+            "servo.damping": (is_servo, "drives = servo"),
+            "servo.computed_torque": (is_servo, "drives = servo"),
+            "servo.stopping_time": (
+                is_clamped and self.drives is not Drives.FREE,
+                "contact = quasi_static, and drives = servo or immovable",
+            ),
+            "external_force_limit": (is_clamped or is_servo, "contact = quasi_static or drives = servo"),
+        }
+
     @property
     def filters_velocity(self) -> bool:
         """Whether velocities are filtered or computed from positions, and so depend on earlier joint states."""

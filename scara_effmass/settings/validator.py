@@ -117,6 +117,9 @@ class ValidatorSettings(FrozenSettings):
             raise ValueError('must be empty, or three numbers that are not all 0, such as "1 0 0"')
         return text
 
+    def _needs(self) -> dict[str, tuple[bool, str]]:
+        return {"obstacle_mass": (not self.obstacle_fixed, "an obstacle that can move (obstacle_fixed = false)")}
+
     @property
     def limit_settings(self) -> MonitorSettings:
         """Settings of a monitor with the limits of these body regions."""

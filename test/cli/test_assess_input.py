@@ -71,6 +71,11 @@ def rows_of(path: Path) -> list[dict[str, Any]]:
             ["joint names     of joint states without names, by joint_names: joint1, joint2, joint3, joint4"],
         ),
         (
+            lambda state: state,
+            ["--person-direction", "1", "0", "0"],
+            ["no effect       person_direction = (1.0, 0.0, 0.0) has no effect without person_speed"],
+        ),
+        (
             lambda state: state._replace(stamp_ns=0),
             ["--time", "log"],
             ["time            log times in place of header stamps"],
@@ -84,7 +89,7 @@ def rows_of(path: Path) -> list[dict[str, Any]]:
             ],
         ),
     ],
-    ids=["prefix", "no names", "zero stamps", "clock skew"],
+    ids=["prefix", "no names", "no effect", "zero stamps", "clock skew"],
 )
 def test_odd_recording_is_assessed_as_the_plain_one_and_the_output_says_how(
     change: Change,

@@ -176,6 +176,14 @@ def test_large_contact_area_gives_a_note(tmp_path: Path, capsys: pytest.CaptureF
     assert note == "10 cm²: allows 10 times the pressure force of 1 cm², if the whole area bears"
 
 
+def test_settings_without_effect_give_notes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    params = tmp_path / "cell.yaml"
+    params.write_text("/**:\n  ros__parameters: {person_direction_frame: link1, filter: {cutoff: 100.0}}\n")
+    notes = texts(run_doctor(capsys, "--params", str(params))[1], "note")
+    assert notes["settings"] == "person_direction_frame = link1 has no effect without person_direction"
+    assert notes["daq_node"] == "filter.cutoff = 100.0 has no effect without a filter.kind"
+
+
 def test_robot_without_the_chosen_mass_model_is_not_healthy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     robot = str(arm(tmp_path / "arm.urdf", x=1e-4))  # a lumped mass would lie 30 m away
     assert run_doctor(capsys, "--robot", robot)[0] == 0

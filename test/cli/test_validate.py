@@ -107,10 +107,14 @@ def test_a_force_above_the_limit_of_a_region_exits_with_1(cli: Cli, campaign: Pa
 
 
 def test_plate_normal_and_fixed_obstacle_apply(cli: Cli, campaign: Path) -> None:
-    done = cli("validate", campaign, "-o", "report", "--plate-normal", "0 0 1", "--fixed", "--json")
-    settings = json.loads(done.stdout)["settings"]["validator"]
+    Path("cell.yaml").write_text("validator: {ros__parameters: {obstacle_mass: 3.0}}\n")
+    words = ("--plate-normal", "0 0 1", "--fixed", "--params", "cell.yaml")
+    done = cli("validate", campaign, "-o", "report", *words)
+    settings = json.loads(Path("report/report.json").read_text())["settings"]["validator"]
     assert done.returncode == 1
     assert (settings["plate_normal"], settings["obstacle_fixed"]) == ("0 0 1", True)
+    reason = "has no effect without an obstacle that can move (obstacle_fixed = false)"
+    assert f"no effect       obstacle_mass = 3.0 {reason}\n" in done.stdout
 
 
 def test_payload_and_points_reach_the_monitor_and_the_limits_the_validator(cli: Cli, campaign: Path) -> None:
