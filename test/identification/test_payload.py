@@ -60,15 +60,17 @@ def test_mass_and_moment_are_those_of_an_independent_model(case: Case, sizes: li
 
 
 @pytest.mark.parametrize("case", [SCARA, UR10, PANDA])
-def test_load_picked_up_is_found_within_ten_seconds(case: Case) -> None:
-    """And before, nothing shows one."""
+def test_load_picked_up_is_found_within_seven_seconds(case: Case) -> None:
+    """Before, nothing shows one; blocks without the load go (else it takes 7 to 8 s), and those with it stay."""
     robot = robot_of(case)
     for seed in range(3):  # of the same friction
         parts = [simulated(robot, case, load, 12.0, np.random.default_rng(seed)) for load in (0.0, case.load)]
         parts[1] = parts[1]._replace(stamps=parts[1].stamps + 12_500_000_000)
         found = estimates(robot, States(*(np.concatenate(columns) for columns in zip(*parts, strict=True))))
         seconds = [1e-9 * estimate.stamp_ns - 13.5 for estimate in found if estimate.mass > 5.0 * estimate.deviation]
-        assert 0.0 < seconds[0] < 10.0
+        assert 0.0 < seconds[0] < 6.5
+        assert found[-1].mass == pytest.approx(case.load, abs=0.1)
+        assert found[-1].deviation < 0.05
 
 
 def test_efforts_of_zero_do_not_fit() -> None:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Grippers at the end of an arm, whatever the names of their joints: a free finger decides neither point nor mass."""
 
+import re
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -157,6 +158,17 @@ def test_jaw_without_a_second_one_counts_as_locked_in_the_mass_and_moves() -> No
     assert masses(stated) == masses(robot)
     free = RobotDynamics(robot).at(np.full(7, 0.3), np.array([0.0] * 6 + [1.0])).contacts[0]
     assert float(np.linalg.norm(free.velocity)) == pytest.approx(float(np.hypot(0.08, 0.02)), rel=1e-6)
+
+
+@pytest.mark.parametrize(("mass", "is_locked"), [(0.17, True), (0.23, False)])
+def test_end_counts_as_locked_where_its_free_joint_would_halve_the_mass(mass: float, *, is_locked: bool) -> None:
+    end = [part("clip", mass), moved("drive", "tool0", "clip"), part("clip_tip", 0.01)]
+    robot = ur5_with([*end, moved("end", "clip", "clip_tip", "0 0 0.01", kind="fixed")])
+    notes = [note for note in robot.notes if note.startswith("drive counts as locked")]
+    assert len(notes) == is_locked
+    for note in notes:
+        free, locked = map(float, re.findall(r"typically (\S+) in place of (\S+) kg", note)[0])
+        assert 2.0 <= locked / free < 2.3
 
 
 @pytest.mark.parametrize(
