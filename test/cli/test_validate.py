@@ -106,11 +106,11 @@ def test_a_force_above_the_limit_of_a_region_exits_with_1(cli: Cli, campaign: Pa
     assert {impact["body_region"] for impact in report["impacts"]} == {"lower_leg"}
 
 
-def test_plate_normal_and_fixed_obstacle_apply(cli: Cli, campaign: Path) -> None:
-    Path("cell.yaml").write_text("validator: {ros__parameters: {obstacle_mass: 3.0}}\n")
+def test_plate_normal_and_fixed_obstacle_apply(cli: Cli, campaign: Path, tmp_path: Path) -> None:
+    (tmp_path / "cell.yaml").write_text("validator: {ros__parameters: {obstacle_mass: 3.0}}\n")
     words = ("--plate-normal", "0 0 1", "--fixed", "--params", "cell.yaml")
     done = cli("validate", campaign, "-o", "report", *words)
-    settings = json.loads(Path("report/report.json").read_text())["settings"]["validator"]
+    settings = json.loads((tmp_path / "report" / "report.json").read_text())["settings"]["validator"]
     assert done.returncode == 1
     assert (settings["plate_normal"], settings["obstacle_fixed"]) == ("0 0 1", True)
     reason = "has no effect without an obstacle that can move (obstacle_fixed = false)"
