@@ -143,24 +143,20 @@ def _poses(
 
 def _left_out(recording: ValidatedRecording, contacts: Sequence[RefusedImpact]) -> Iterator[LeftOutForce]:
     """Yield the force in a recording that is in no contact of the test: `contacts`, and force that is in none."""
-
-    def force(value: float) -> float | None:
-        return float(f"{max(value, 0.0):.6g}") if value <= MAX_FORCE_N else None  # neither for NaN
-
     for reason in dict.fromkeys(contact.reason for contact in contacts):
         refused = [contact for contact in contacts if contact.reason == reason]
         largest = max(refused, key=attrgetter("total_peak"))
-        peaks = [force(contact.total_peak) for contact in refused]
+        peaks = [_force(contact.total_peak) for contact in refused]
         yield LeftOutForce(
             reason=reason,
             count=len(refused),
             time=_time(largest.stamp_ns),
             peak_n=None if None in peaks else max(filter(None, peaks), default=0.0),
-            held_n=force(max(contact.total_held or contact.load_force / contact.force_share for contact in refused)),
+            held_n=_force(max(contact.total_held or contact.load_force / contact.force_share for contact in refused)),
             complete=None not in peaks and reason not in {CLIPPED, INCOMPLETE},
         )
     for item in recording.left_out:
-        peak = force(item.peak_force)
+        peak = _force(item.peak_force)
         yield LeftOutForce(
             reason=item.reason,
             count=item.occurrences,
@@ -174,6 +170,11 @@ def _left_out(recording: ValidatedRecording, contacts: Sequence[RefusedImpact]) 
         yield LeftOutForce(reason="lost samples", count=lost, complete=False)
     for loss in recording.losses:
         yield LeftOutForce(reason=loss, count=1, complete=False)
+
+
+def _force(value: float) -> float | None:
+    """Return a force [N] with six digits; None, not known, for one that is negative, NaN or above MAX_FORCE_N."""
+    return float(f"{value:.6g}") if 0.0 <= value <= MAX_FORCE_N else None
 
 
 def _time(stamp_ns: int) -> datetime:
@@ -195,7 +196,10 @@ def _repetitions(
 
 
 def _repetition(contact: ValidatedImpact | RefusedImpact, trace: ForceTrace) -> Repetition:
-    """Return one contact; without force blocks, or with samples lost or saturated after it, only its peak is known."""
+    """Return one contact; without force blocks, or with samples lost or saturated after it, only its peak is known.
+
+    A force that no sensor measures is not known.
+    """
 
     def rounded(value: float) -> float:
         return float(f"{value:.6g}")
@@ -219,13 +223,13 @@ def _repetition(contact: ValidatedImpact | RefusedImpact, trace: ForceTrace) -> 
         if late.size:
             # The interpolated peak of an impact may lie between two samples.
             peak = max(float(early.max()), measured if late.max() < early.max() else 0.0)
-            beyond = rounded((max(float(late.max()), 0.0) + contact.load_force) / share)
+            beyond = _force((max(float(late.max()), 0.0) + contact.load_force) / share)
     return Repetition(
         time=_time(contact.stamp_ns),
         reached_speed_m_s=rounded(contact.speed) or None,
-        transient_peak_n=rounded((peak + contact.load_force) / share),
+        transient_peak_n=_force((peak + contact.load_force) / share),
         force_beyond_0_5_s_n=beyond,
-        load_n=rounded(contact.load_force / share) or None,
+        load_n=_force(contact.load_force / share) or None,
         duration_s=trace.duration and rounded(trace.duration),
         simulated=contact.simulated,
         **predicted,

@@ -16,6 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel, ValidationError
 
+from scara_effmass.analysis.forces import detected_impacts
 from scara_effmass.analysis.protocol import (
     ContactTest,
     Evaluation,
@@ -29,14 +30,15 @@ from scara_effmass.analysis.protocol import (
 from scara_effmass.analysis.protocol_evaluation import evaluate, evaluated, filled, overall, write_report
 from scara_effmass.analysis.report import PageOptions
 from scara_effmass.analysis.validation import Validation, ValidationSettings, validate
+from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import ImportSettings, MonitorSettings, SensorSettings, ValidatorSettings
 from scara_effmass.values import ContactAssessment, ForceBlock, JointState, Verdict, severity
-from scara_effmass.wire.force import force_block_message
-from scara_effmass.wire.message_types import FORCE_BLOCK
+from scara_effmass.wire.force import force_block_message, impact_message
+from scara_effmass.wire.message_types import FORCE_BLOCK, IMPACT
 from test.analysis.conftest import ONSET_S, RAW, Altered, changed, content
 
 HAND_LIMIT_N = 280.0
@@ -751,6 +753,44 @@ def test_faults_of_the_force_after_the_contact_make_the_held_force_unknown(
     (item,) = entered(validation)
     assert (item.force_beyond_0_5_s_n is None) is (after_s > 0.0)
     assert item.transient_peak_n
+
+
+def test_a_force_above_a_million_newtons_is_not_known(
+    campaign: list[Path], dynamics: RobotDynamics, device_settings: ValidationSettings, altered: Altered
+) -> None:
+    bag = altered(campaign[0], block=lambda block: block._replace(force=1e5 * block.force))
+    protocol = Protocol.model_validate(content())
+    test = filled(protocol.tests[0], validate([bag], dynamics, device_settings), ImportSettings(), bag.parent)
+    (item,) = test.results.repetitions
+    assert item.transient_peak_n is None
+    evaluation = evaluate(protocol, test, bag.parent)
+    assert evaluation.verdict == "UNKNOWN"
+    assert "missing: tests.1.results.repetitions.1.transient_peak_n" in evaluation.reasons
+
+
+@pytest.mark.parametrize("peak", [2e6, -5.0])  # decoding refuses NaN and infinity
+def test_a_press_whose_peak_is_no_force_is_entered_without_it(
+    peak: float,
+    campaign: list[Path],
+    dynamics: RobotDynamics,
+    device_settings: ValidationSettings,
+    altered: Altered,
+    tmp_path: Path,
+) -> None:
+    """As another program may publish it, without its samples."""
+    with open_bag(campaign[0]) as bag:
+        first = next(impact for impact in detected_impacts(bag.force_blocks("/force")) if not impact.rebound)
+    press = first._replace(peak_force=peak, held_force=60.0, compression_impulse=0.0)
+    with open_bag(altered(campaign[0], without="/force")) as bag, BagWriter(tmp_path / "press.mcap") as writer:
+        for message in bag.messages():
+            writer.write(*message)
+        writer.write("/impact", IMPACT, press.stamp_ns + 10**9, impact_message(press))
+    values = content()
+    values["tests"][0]["point"]["contact"] = "quasi_static"
+    test = Protocol.model_validate(values).tests[0]
+    validation = validate([tmp_path / "press.mcap"], dynamics, device_settings)
+    (item,) = filled(test, validation, ImportSettings(), tmp_path).results.repetitions
+    assert (item.transient_peak_n, item.time is None) == (None, False)
 
 
 def test_a_recording_without_a_contact_is_refused(
