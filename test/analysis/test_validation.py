@@ -336,6 +336,21 @@ def test_clocks_seconds_apart(campaign: list[Path], dynamics: RobotDynamics, alt
     assert "their clocks differ" in result.reason
 
 
+def test_a_step_of_the_zero_before_an_impact_leaves_it_in_the_series(
+    campaign: list[Path], dynamics: RobotDynamics, altered: Altered
+) -> None:
+    (impact,) = validate(campaign[:1], dynamics, SETTINGS).result.impacts
+
+    def stepped(block: ForceBlock) -> ForceBlock:
+        seconds = (block.stamp_ns - impact.stamp_ns) / 1e9 + np.arange(block.force.size) / block.sample_rate
+        return block._replace(force=block.force + 5.2 * (seconds > -0.4))
+
+    result = validate([altered(campaign[0], block=stepped)], dynamics, SETTINGS).result
+    assert [item.measured_force for item in result.impacts] == pytest.approx([impact.measured_force], rel=1e-3)
+    assert result.impacts[0].load_force == pytest.approx(5.2, abs=0.2)
+    assert result.excluded["press: the force rose slowly, or stayed near its peak"] == 1
+
+
 def test_saturated_peaks_are_counted(campaign: list[Path], dynamics: RobotDynamics, altered: Altered) -> None:
     def saturated(block: ForceBlock) -> ForceBlock:
         beyond = np.flatnonzero(block.force >= 150.0).astype(np.uint32)
