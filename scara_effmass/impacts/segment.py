@@ -123,7 +123,8 @@ def longest_flat_run(samples: FloatArray) -> int:
 class Baseline:
     """Level and noise of the latest quiet frames, and the thresholds derived from them, all in [N] as measured.
 
-    Statistics are computed on demand, because the extremes of a frame usually suffice to show that it is quiet.
+    `frames` are the quiet frames. Statistics are computed on demand, because the extremes of a frame usually suffice to
+    show that it is quiet.
     """
 
     def __init__(self, settings: DetectionSettings, frames: Iterable[Frame] = ()) -> None:

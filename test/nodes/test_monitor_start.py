@@ -161,9 +161,9 @@ def test_parameters_of_other_nodes_under_all_nodes_are_ignored_with_a_warning(
     params = tmp_path / "robot.yaml"
     shared = "/**:\n  ros__parameters: {controller_rate: 500, sensor: {sensitivity: 2.0}, release_time: 0.0}\n"
     parent = ("-p", "use_gripper:=true", "-p", "robot_description:=<robot/>")  # SetParameter of a parent launch file
-    parent = (*parent, "-p", "person_direction:=[1.0, 0.0, 0.0]")
+    idle = ("-p", "person_direction:=[1.0, 0.0, 0.0]")
     params.write_text(f"{shared}planner:\n  ros__parameters: {{horizon: 2}}\n", encoding="utf-8")
-    harness = new_harness("--ros-args", *parent, "--params-file", str(params))
+    harness = new_harness("--ros-args", *parent, *idle, "--params-file", str(params))
     harness.subscribe_until_ok()
     assert harness.process is not None
     harness.process_may_end = True

@@ -6,9 +6,14 @@ from typing import Any
 import pytest
 
 from scara_effmass.settings import DaqSettings, MonitorSettings, ValidatorSettings, checked, load_settings
+from scara_effmass.settings.loading import FrozenSettings
 from scara_effmass.share import share
 
-KINDS = {"monitor": MonitorSettings, "validator": ValidatorSettings, "daq": DaqSettings}
+KINDS: dict[str, type[FrozenSettings]] = {
+    "monitor": MonitorSettings,
+    "validator": ValidatorSettings,
+    "daq": DaqSettings,
+}
 DIRECTION = [1.0, 0.0, 0.0]
 
 
