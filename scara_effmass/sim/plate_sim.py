@@ -98,7 +98,7 @@ class PlateSim:
         """Return J_v (3, n) of contact point number `point`, and the mass matrix (n, n), at `q` (n,)."""
         self.data.qpos[:] = q
         matrix = mass_matrix(self.model, self.data)
-        return self._jacobian(point).copy(), matrix
+        return self._jacobian(point, self._position(point)).copy(), matrix
 
     def gravity(self, q: FloatArray) -> FloatArray:
         """Return the joint torques (n,) that hold the arm against gravity at `q` (n,) [N m, N]."""
@@ -149,7 +149,7 @@ class PlateSim:
         mu = servo_reduced_masses(mobilities, k, m_h, servo)[0]
         return np.asarray(normals[np.argmax((normals @ velocity) ** 2 * mu)])
 
-    def touch(  # noqa: PLR0915 - one time step after the other
+    def touch(  # noqa: C901, PLR0915 - one time step after the other
         self,
         q: FloatArray,
         qd: FloatArray,
@@ -189,45 +189,52 @@ class PlateSim:
             if math.isinf(limit.body_mass_kg):
                 stop, duration = servo.stopping_time, servo.stopping_time + 1.0 / servo.bandwidth
             model.opt.gravity[2] = GRAVITY * pace
-        fine, inertias = PHASE_STEP / rate, np.diag(inertia)
+        fine, inertias, weakest, accelerates = PHASE_STEP / rate, np.diag(inertia), -effort, bool(qdd.any())
         offset = float(normal @ self._position(point))
         acceleration, half = np.zeros(self.n), velocity.copy()
-        free_torque = np.zeros(self.n) if servo or not qdd.any() else self._torque_of(velocity, qdd)
-        plate, plate_half, push = 0.0, person * pace, np.zeros(3)
+        free_torque = np.zeros(self.n) if servo or not accelerates else self._torque_of(velocity, qdd)
+        plate, plate_half, push, along = 0.0, person * pace, np.zeros(3), normal
         sliding = SLIDING * float(np.linalg.norm(jacobian @ velocity)) + TINY
         time = depth = step = 0.0
-        peak = Peak(0.0, 0.0, 0.0)
+        peak_force = peak_time = 0.0
         qpos, qvel, torque = data.qpos, data.qvel, data.qfrc_applied
+        peak_q = qpos.copy()
         while time < duration:
             # Leapfrog: `half` and `plate_half` are velocities half a step earlier.
             qvel[:] = half + 0.5 * step * acceleration
             mujoco.mj_fwdPosition(model, data)
             mujoco.mj_fwdVelocity(model, data)
-            last_depth, depth = depth, float(normal @ self._position(point)) - offset - plate
+            position = self._position(point)
+            last_depth, depth = depth, float(normal.dot(position)) - offset - plate
             if not math.isfinite(depth):
                 raise ArithmeticError(f"{self._robot.name}: simulation of an impact diverged after {time:.6f} s")
             if servo is None and depth <= 0.0 < time:
                 break
             torque[:] = free_torque
             if servo is not None:
-                gaining = min(time, stop, accelerates_for)
                 error = q + velocity * min(time, stop) - qpos
-                error += qdd * gaining * (min(time, stop) - 0.5 * gaining)
-                error_rate = (velocity + qdd * gaining) * (time < stop) - qvel
-                now = qdd * (time < min(stop, accelerates_for))
+                error_rate = velocity * (time < stop) - qvel
+                now: FloatArray | float = 0.0
+                if accelerates:
+                    gaining = min(time, stop, accelerates_for)
+                    error += qdd * gaining * (min(time, stop) - 0.5 * gaining)
+                    error_rate += qdd * gaining * (time < stop)
+                    now = qdd * (time < min(stop, accelerates_for))
                 stated = self._torque(servo, error, error_rate, now, inertias)
-                torque[:] = np.minimum(np.maximum(stated, -effort), effort)
+                torque[:] = np.minimum(np.maximum(stated, weakest), effort)
             if depth > 0.0 or time == 0.0:
-                jacobian = self._jacobian(point)
-                slip = jacobian @ qvel - plate_half - 0.5 * step * push / limit.body_mass_kg
-                closing = float(normal @ slip)
-                force = max(k * depth + damping * closing, 0.0)
-                slip -= closing * normal
-                push = force * (normal + surface.friction * slip / (math.sqrt(slip @ slip) + sliding))
-                total = math.sqrt(push @ push)
-                if total > peak.force:
-                    peak = Peak(total, time, float(np.max(np.abs(qpos - q))))
-                torque -= push @ jacobian
+                jacobian, force = self._jacobian(point, position), k * depth
+                if surface != ELASTIC:
+                    slip = jacobian @ qvel - plate_half - 0.5 * step * push / limit.body_mass_kg
+                    closing = float(normal @ slip)
+                    force += damping * closing
+                    slip -= closing * normal
+                    along = normal + surface.friction * slip / (math.sqrt(slip @ slip) + sliding)
+                push = max(force, 0.0) * along
+                total = math.sqrt(push.dot(push))
+                if total > peak_force:
+                    peak_force, peak_time, peak_q = total, time, qpos.copy()
+                torque -= push.dot(jacobian)
             else:
                 push = np.zeros(3)
             mujoco.mj_fwdAcceleration(model, data)
@@ -237,9 +244,9 @@ class PlateSim:
             half += 0.5 * (last_step + step) * acceleration
             plate_half += 0.5 * (last_step + step) * push / limit.body_mass_kg
             qpos += step * half
-            plate += step * float(normal @ plate_half)
+            plate += step * float(normal.dot(plate_half))
             time += step
-        return Peak(peak.force / pace, peak.time, peak.turn)
+        return Peak(peak_force / pace, peak_time, float(np.max(np.abs(peak_q - q))))
 
     def _torque_of(self, qd: FloatArray, qdd: FloatArray) -> FloatArray:
         """Return the joint torques (n,) that accelerate the arm with `qdd` (n,) at `qd` (n,) in its present pose."""
@@ -250,7 +257,12 @@ class PlateSim:
         return np.asarray(torque + self.data.qfrc_bias)
 
     def _torque(
-        self, servo: ServoSettings, error: FloatArray, error_rate: FloatArray, qdd: FloatArray, inertias: FloatArray
+        self,
+        servo: ServoSettings,
+        error: FloatArray,
+        error_rate: FloatArray,
+        qdd: FloatArray | float,
+        inertias: FloatArray,
     ) -> FloatArray:
         """Return the joint torques (n,) for errors of position and velocity (n,), and accelerations `qdd` (n,).
 
@@ -258,19 +270,21 @@ class PlateSim:
         """
         omega = 2.0 * math.pi * servo.bandwidth
         acceleration = qdd + omega**2 * error + 2.0 * servo.damping * omega * error_rate
-        torque = inertias * acceleration
         if servo.computed_torque:
+            torque = np.empty(self.n)
             mujoco.mj_mulM(self.model, self.data, torque, acceleration)
+        else:
+            torque = inertias * acceleration
         return np.asarray(torque + self.data.qfrc_bias)
 
     def _position(self, point: int) -> FloatArray:
         _, position, orientation, place = self._points[point]
-        return np.asarray(position + orientation @ place)
+        return np.asarray(position + orientation.dot(place))
 
-    def _jacobian(self, point: int) -> FloatArray:
-        """Return J_v (3, n) of contact point number `point`; the next call replaces it."""
+    def _jacobian(self, point: int, position: FloatArray) -> FloatArray:
+        """Return J_v (3, n) of contact point number `point`, which is at `position` (3,); the next call replaces it."""
         body, *_ = self._points[point]
-        mujoco.mj_jac(self.model, self.data, self._jacobian_of_point, None, self._position(point), body)
+        mujoco.mj_jac(self.model, self.data, self._jacobian_of_point, None, position, body)
         return self._jacobian_of_point
 
 
