@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -97,7 +98,7 @@ def lasting_time(time: float, speed: float, rate: float) -> float:
     return time if rate >= 0.0 else min(time, -speed / rate)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Mobility:
     """Mobility A = U diag(a) U^T of a contact point that hits along the unit vector `direction` n.
 
@@ -133,10 +134,31 @@ class Mobility:
         """Return the mobility of one effective `mass` [kg] that is the same in every direction."""
         return replace(cls.of_mass(mass, direction), across=1.0 / mass)
 
-    @property
+    @cached_property
     def trace(self) -> float:
         """Trace of A [1/kg]."""
         return float(self.values.sum())
+
+    @cached_property
+    def basis(self) -> FloatArray:
+        """Orthonormal axes (3, 3): `axes`, then those of the dimensions in which the point does not move."""
+        return np.hstack((self.axes, np.linalg.svd(self.axes)[0][:, len(self.values) :]))
+
+    @cached_property
+    def mass(self) -> float:
+        """Effective mass [kg] along `direction` (Eq. 8)."""
+        return self.effective_mass(self.direction)
+
+    @cached_property
+    def _parts(self) -> tuple[FloatArray, FloatArray | None]:
+        """`_parts_of` the direction."""
+        return self._parts_of(self.direction)
+
+    def _parts_of(self, n: FloatArray) -> tuple[FloatArray, FloatArray | None]:
+        """Return n (3,) along the axes (rank,), and what is out of their reach (3,); None for rounding."""
+        along = self.axes.T @ n
+        rest = n - self.axes @ along
+        return along, rest if np.linalg.norm(rest) > DIRECTION_ROUNDING else None
 
     @property
     def worst_mass(self) -> float:
@@ -192,11 +214,9 @@ class Mobility:
         shares = alpha + beta * self.values
         if not (shares > 0.0).all():
             return np.full(3, math.inf)
-        n = self.direction if n is None else n
-        along = self.axes.T @ n
-        out_of_reach = n - self.axes @ along
-        w = self.axes @ (along / shares)
-        return w + out_of_reach / alpha if np.linalg.norm(out_of_reach) > DIRECTION_ROUNDING else w
+        along, rest = self._parts if n is None else self._parts_of(n)
+        w: FloatArray = self.axes @ (along / shares)
+        return w if rest is None else w + rest / alpha
 
     def reduced_mass(self, alpha: float, beta: float = 1.0) -> float:
         """Return mu [kg] of the worst contact normal, and of a link a bound of that of every point of its hull.
@@ -224,7 +244,7 @@ class Mobility:
         w = self.impulse(alpha, beta)
         if not np.isfinite(w).all():
             return math.inf
-        along = alpha + beta / self.effective_mass(self.direction)
+        along = alpha + beta / self.mass
         return max(float(self.direction @ w), 1.0 / along if along > 0.0 else 0.0)
 
     def worst_normal(self, alpha: float) -> FloatArray:

@@ -98,7 +98,7 @@ class PersonContact:
         masses = np.array([min(1.0 / inverse, max_mass) if inverse > 0.0 else max_mass for inverse in inverses])
         if case.obstacle_mobility == 0.0 and mobility.across == 0.0:
             masses[count:] = 0.0
-        axes = np.hstack((mobility.axes, np.linalg.svd(mobility.axes)[0][:, count:]))
+        axes = mobility.basis
         n = axes.T @ mobility.direction
         n[count:] = 0.0  # but for rounding
         towards = None if person.direction is None else axes.T @ person.direction
@@ -157,7 +157,7 @@ class PersonContact:
 
         def excess(multiplier: float) -> float:
             """Return |u| - v_p."""
-            return math.hypot(*(k * v / (multiplier - k) for k, v in speeds)) - v_p
+            return math.hypot(*[k * v / (multiplier - k) for k, v in speeds]) - v_p
 
         least = max(heaviest * (1.0 + MIN_EXCESS), *(k * (1.0 + v / v_p) for k, v in speeds))
         most = (heaviest + math.hypot(*(k * v for k, v in speeds)) / v_p) * (1.0 + ROUNDING)

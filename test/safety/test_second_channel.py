@@ -24,7 +24,7 @@ from scara_effmass.values import Decision, FloatArray, JointState, Verdict
 ROBOTS = Path(__file__).resolve().parents[2] / "config" / "robots"
 TOLERANCE = 1e-10
 STEP_NS = 10_000_000
-INTERVAL = 150
+INTERVAL = 50
 POINTS = ("tool", "elbow", "rim=link4: 0.05 0 0")
 
 
@@ -205,7 +205,7 @@ def test_wrong_record_of_the_kernel_gives_unknown_and_is_the_last(
     monitor, reference = new_monitor(**values), new_monitor(use_reference=True, **values)
     runs = spoil(monkeypatch, field, change, correct)
     faults: list[int] = []
-    for count, state in enumerate(motion(monitor, 2 * INTERVAL)):
+    for count, state in enumerate(motion(monitor, 3 * INTERVAL, steps=2 * INTERVAL)):
         decision, expected = monitor.assess(state, state.stamp_ns), reference.assess(state, state.stamp_ns)
         assert decision is not None
         assert expected is not None
