@@ -7,6 +7,7 @@ import re
 import time
 from collections.abc import Callable, Iterator
 from datetime import datetime, timedelta
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,7 @@ from scara_effmass.analysis.validation import Validation, ValidationSettings, va
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError, SettingsError
+from scara_effmass.importers.force import import_force
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import ImportSettings, MonitorSettings, SensorSettings, ValidatorSettings
@@ -45,11 +47,22 @@ HAND_LIMIT_N = 280.0
 
 
 @pytest.fixture(scope="session")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder with the raw data."""
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Folder with the raw data, which is read once: else that takes nearly all of the time of each evaluation."""
     path = tmp_path_factory.mktemp("protocol")
     (path / "raw.csv").write_bytes(RAW)
-    return path
+
+    @cache
+    def read(file: Path, settings: ImportSettings) -> tuple[Any, list[ForceBlock]]:
+        force, blocks = import_force(file, settings)
+        return force, list(blocks)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            "scara_effmass.analysis.forces.import_force",
+            lambda file, settings: (read if file == path / "raw.csv" else import_force)(file, settings),
+        )
+        yield path
 
 
 def result(values: dict[str, Any], folder: Path) -> Evaluation:

@@ -267,10 +267,7 @@ def contact_of(answer: Answer) -> ContactAssessment:
 
 def bits(contact: ContactAssessment) -> list[object]:
     """Return every field, floats as bytes."""
-    return [
-        value if isinstance(value, str | int) else struct.pack(f"{np.size(value)}d", *np.ravel(value))
-        for value in contact
-    ]
+    return [value if isinstance(value, str | int) else np.asarray(value, dtype=float).tobytes() for value in contact]
 
 
 def test_live_equals_offline_bit_for_bit(new_harness: Callable[..., NodeHarness]) -> None:
