@@ -105,7 +105,6 @@ CROSS_CHECKED = {
     "payload topic": ("--payload-topic", "load"),
     "velocity bag": ("--velocity-bag", ""),
     "latch": ("--params", "latch: true"),
-    "servo": ("--params", "drives: servo"),
     "filtered velocity": ("--params", "velocity_window: 0.01"),
 }
 
