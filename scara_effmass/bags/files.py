@@ -2,8 +2,9 @@
 """Find and open bags; rosbags reads all formats but MCAP: SQLite, compressed rosbag2 and ROS 1."""
 
 import heapq
+import json
 import re
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from functools import partial
 from operator import itemgetter
@@ -32,6 +33,10 @@ UNFINISHED = ".active"
 METADATA = "metadata.yaml"
 SPLIT_NAME = re.compile(r"(?P<name>.+)_(?P<number>\d+)\.(?P<suffix>(mcap|db3)(\.zstd)?)", re.IGNORECASE)
 """Name of a file in a rosbag2 folder."""
+LOSSES_RECORD = "scara_effmass/losses"
+"""Name of the MCAP metadata record, and key in custom_data of metadata.yaml, with the messages lost in recording."""
+REPAIR_RECORD = "scara_effmass/not_repaired"
+"""Key in custom_data of metadata.yaml with the lines about what a repair could not keep."""
 BATCH_MESSAGES = 1000
 BATCH_BYTES = 1 << 20
 
@@ -90,14 +95,20 @@ def open_bag(path: Path) -> Bag:
 
 
 def is_rosbag2_folder(folder: Path) -> bool:
-    """Return whether a folder is one rosbag2 bag: it has metadata.yaml, or the numbered files of a bag that lost it."""
+    """Return whether a folder is one rosbag2 bag: it has metadata.yaml, or the numbered files of a bag that lost it.
+
+    Files with the name of their folder are those of one bag, even if some are missing.
+    """
     if not folder.is_dir():
         return False
     if (folder / METADATA).is_file():
         return True
     splits = [_split_name(path) for path in bag_files(folder)]
     names = {name for name, _ in splits}
-    return len(names) == 1 and "" not in names and [number for _, number in splits] == list(range(len(splits)))
+    if len(names) != 1 or "" in names:
+        return False
+    is_complete = [number for _, number in splits] == list(range(len(splits)))
+    return is_complete or splits[0][0].startswith(f"{folder.resolve().name}.")
 
 
 def bag_files(folder: Path) -> list[Path]:
@@ -133,17 +144,26 @@ def _open_files(bag: Path, paths: Sequence[Path], losses: LossLog, *, are_messag
                 return path
             return inflate_file(path, Path(stack.enter_context(TemporaryDirectory(prefix="scara-effmass-"))))
 
-        files = [(path, uncompressed(path)) for path in paths]
+        files: list[tuple[Path, Path]] = []
+        problems: list[str] = []
         formats = set()
-        for path, file in files:
-            if not (head := _head(file)):
-                raise BagError(f"{path}: is empty")
-            formats.add(next((magic for magic in FORMATS if head.startswith(magic)), b""))
+        for path in paths:
+            head = _head(file := uncompressed(path))
+            magic = next((magic for magic in FORMATS if head.startswith(magic)), None)
+            if magic is None:
+                content = "is not a bag; expected MCAP, SQLite (rosbag2) or ROS 1" if head else "is empty"
+                problems.append(f"{path}: {content}")
+                continue
+            files.append((path, file))
+            formats.add(magic)
             if (journal := Path(f"{path}-wal")).exists() and journal.stat().st_size:
                 losses.add(f"{journal}: the recorder did not finish; messages in this journal are not read")
+        if not files:
+            raise BagError("; ".join(problems))
+        losses.extend(problems)
         magic = formats.pop()
-        if formats or not magic:
-            raise BagError(f"{paths[0]}: is not a bag; expected MCAP, SQLite (rosbag2) or ROS 1")
+        if formats:
+            raise BagError(f"{bag}: has files of several formats: must be of one")
         return FORMATS[magic](bag, files, losses, are_messages_compressed=are_messages_compressed)
 
 
@@ -162,10 +182,9 @@ def _open_folder(folder: Path, losses: LossLog) -> Bag:
             f"{folder / METADATA}: compression = {compression} of each {mode}: must be zstd of file or message"
         )
     # Older recorders wrote the names with the folder in front.
-    named = [folder / Path(str(name)).name for name in metadata.get("relative_file_paths") or ()]
-    for path in named:
-        if path not in present:
-            losses.add(f"{folder / METADATA}: names {path.name}, which does not exist")
+    named = [*dict.fromkeys(folder / Path(str(name)).name for name in metadata.get("relative_file_paths") or ())]
+    losses.extend(missing_files(folder, present, named))
+    losses.extend(f"{folder / METADATA}: {line}" for line in _stored_losses(metadata))
     paths = [path for path in named if path in present]
     if not paths:
         paths = present
@@ -184,6 +203,26 @@ def _open_folder(folder: Path, losses: LossLog) -> Bag:
     if metadata.get("message_count", count) != count:
         losses.add(f"{folder / METADATA}: lists {metadata['message_count']} messages, the files contain {count}")
     return bag
+
+
+def missing_files(folder: Path, present: Sequence[Path], named: Sequence[Path]) -> Iterator[str]:
+    """Yield a line about each file that metadata.yaml names and `folder` lacks, and about skipped numbers of files."""
+    for path in named:
+        if path not in present:
+            yield f"{folder / METADATA}: names {path.name}, which does not exist"
+    splits = {_split_name(path) for path in (*present, *named)}
+    last = max((number for _, number in splits), default=0)
+    if len({name for name, _ in splits}) == 1 and len(splits) <= last:
+        yield f"{folder}: files before number {last} that do not exist: {last + 1 - len(splits)}"
+
+
+def _stored_losses(metadata: Mapping[str, Any]) -> Iterator[str]:
+    """Yield a line about each loss that a recorder or a repair has stated in metadata.yaml, if it can be read."""
+    with suppress(TypeError, ValueError, AttributeError, LookupError, RecursionError):
+        for topic, counts in json.loads(metadata["custom_data"][LOSSES_RECORD]).items():
+            yield f"{topic}: {sum(counts.values())} messages were lost in recording"
+    with suppress(TypeError, AttributeError, LookupError):
+        yield from metadata["custom_data"][REPAIR_RECORD].splitlines()
 
 
 def _name_inner_bags(folder: Path, present: Sequence[Path], losses: LossLog) -> None:
@@ -349,7 +388,7 @@ def _lost_rows(reader: Reader) -> Iterator[str]:
     named = "topic_id IN (SELECT id FROM topics)"
     kinds = {
         f"topic_id IS NULL OR NOT {named}": "of topics that the file does not define",
-        f"{named} AND (timestamp IS NULL OR timestamp < 0)": "without a time, or before 1970,",
+        f"{named} AND (typeof(timestamp) <> 'integer' OR timestamp < 0)": "without a time, or before 1970,",
     }
     for condition, text in kinds.items():
         with suppress(Exception):  # apsw raises many types for a damaged file, which shows while messages are read

@@ -18,6 +18,7 @@ from typing_extensions import Self
 
 from scara_effmass.bags.batches import Topic
 from scara_effmass.bags.definitions import definition_of, known_types
+from scara_effmass.bags.files import LOSSES_RECORD
 from scara_effmass.bags.writer import (
     CHUNK_BYTES,
     BagFile,
@@ -42,8 +43,6 @@ RESUME_FACTOR = 2
 """Free space, as a multiple of the reserve, at which a stopped recording resumes."""
 CLEAR_FACTOR = 1.25
 """Multiple of the limits at which a warning is cleared; a varying rate then does not repeat it."""
-LOSSES_RECORD = "scara_effmass/losses"
-"""Name of the MCAP metadata record, and key in custom_data of metadata.yaml, with the lost messages."""
 
 
 @dataclass(slots=True)

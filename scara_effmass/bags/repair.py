@@ -2,19 +2,27 @@
 """Repair incomplete bags: make index, summary and metadata from the readable content."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from secrets import token_hex
+from typing import Any
 
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
 
 from scara_effmass.bags.batches import LossLog
-from scara_effmass.bags.files import SPLIT_NAME, bag_files, read_metadata
+from scara_effmass.bags.files import (
+    LOSSES_RECORD,
+    REPAIR_RECORD,
+    SPLIT_NAME,
+    bag_files,
+    missing_files,
+    read_metadata,
+)
 from scara_effmass.bags.mcap_bag import DAMAGE, RECORD_HEAD, McapCopy, McapFile, open_mcap, read_index, records
-from scara_effmass.bags.recorder import LOSSES_RECORD, losses_custom_data
+from scara_effmass.bags.recorder import losses_custom_data
 from scara_effmass.bags.writer import BagFile, is_being_written, sync_folder, write_metadata
 from scara_effmass.errors import BagError, OutputError
 
@@ -41,7 +49,7 @@ class RepairReport:
 
     files: tuple[FileRepair, ...]
     failed: tuple[str, ...]
-    """Lines about files that are not MCAP, which are unchanged."""
+    """Lines about files that are not MCAP, which are unchanged, and about files that are missing."""
     metadata_rewritten: bool
 
     @property
@@ -88,7 +96,15 @@ def _repair_bag(bag: Path) -> RepairReport:
     if not repaired:
         raise BagError(failed[0])
     files = tuple(file for file, _ in repaired)
-    rewritten = is_folder and _update_metadata(bag, files, [content for _, content in repaired])
+    if not is_folder:
+        return RepairReport(files, tuple(failed), metadata_rewritten=False)
+    information: dict[str, Any] = {}
+    with suppress(OSError):
+        information = read_metadata(bag, LossLog())
+    named = [bag / Path(str(name)).name for name in information.get("relative_file_paths") or ()]
+    failed += missing_files(bag, bag_files(bag), named)
+    lost = [line.removeprefix(f"{bag}{os.sep}") for line in [*failed, *(line for file in files for line in file.lost)]]
+    rewritten = _update_metadata(bag, information, files, [content for _, content in repaired], lost)
     return RepairReport(files, tuple(failed), metadata_rewritten=rewritten)
 
 
@@ -143,17 +159,25 @@ def _complete_file(path: Path) -> BagFile | None:
     return None if any(losses) else content
 
 
-def _update_metadata(folder: Path, files: Sequence[FileRepair], contents: Sequence[BagFile]) -> bool:
-    """Write metadata.yaml unless there is a correct one; return whether it was written."""
-    information: dict[str, object] = {}
-    with suppress(OSError):
-        information = read_metadata(folder, LossLog())
+def _update_metadata(
+    folder: Path,
+    information: Mapping[str, Any],
+    files: Sequence[FileRepair],
+    contents: Sequence[BagFile],
+    lost: Sequence[str],
+) -> bool:
+    """Write metadata.yaml unless its `information` is correct; return whether it was written.
+
+    It keeps the lines about what is `lost`, because the repaired files do not show it.
+    """
     names, count = [file.path.name for file in files], sum(file.messages for file in files)
     is_correct = information.get("relative_file_paths") == names and information.get("message_count") == count
     if is_correct and all(file.intact for file in files):
         return False
     stored = information.get("custom_data")
     custom_data = {**(stored if isinstance(stored, dict) else {}), **_recorded_losses(files)}
+    if lines := [*str(custom_data.get(REPAIR_RECORD, "")).splitlines(), *lost]:
+        custom_data[REPAIR_RECORD] = "\n".join(dict.fromkeys(lines))
     write_metadata(folder, contents, custom_data)
     return True
 

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 import zstandard
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -32,9 +33,10 @@ from scara_effmass.bags.bag import Bag, run_infos
 from scara_effmass.bags.definitions import known_types
 from scara_effmass.bags.files import bag_bytes, find_bags, open_bag
 from scara_effmass.errors import BagError
-from scara_effmass.values import JointState, RunInfo
+from scara_effmass.values import ForceBlock, Impact, JointState, RunInfo
+from scara_effmass.wire.force import force_block_message, impact_message
 from scara_effmass.wire.joint_state import JointStateDecoder, joint_state_message
-from scara_effmass.wire.message_types import RUN_INFO
+from scara_effmass.wire.message_types import FORCE_BLOCK, IMPACT, RUN_INFO
 from scara_effmass.wire.run_info import run_info_message
 from test.bags.messages import Message, serialized, write_mcap
 
@@ -601,6 +603,37 @@ class TestFolder:
             assert read(bag) == MIXED
             assert_states(bag, (message for message in MIXED if message.type == JOINTS))
 
+    @pytest.mark.parametrize("has_metadata", [True, False])
+    @pytest.mark.parametrize(
+        ("number", "content", "loss"),
+        [
+            (1, b"", "split/split_1.mcap: is empty"),
+            (0, b"not a bag", "split/split_0.mcap: is not a bag"),
+            (2, b"\x89MCAP", "split/split_2.mcap: is not a bag"),
+            (1, None, "do not exist: 1"),
+            (0, None, "do not exist: 1"),
+        ],
+    )
+    def test_split_bag_with_an_unreadable_file_is_read_without_it(
+        self, tmp_path: Path, number: int, content: bytes | None, loss: str, *, has_metadata: bool
+    ) -> None:
+        folder = tmp_path / "split"
+        folder.mkdir()
+        parts = [MIXED[:200], MIXED[200:400], MIXED[400:]]
+        paths = [write_mcap(folder / f"split_{index}.mcap", part) for index, part in enumerate(parts)]
+        if has_metadata:  # that names a file twice
+            information = {"relative_file_paths": [path.name for path in (*paths, paths[0])]}
+            (folder / "metadata.yaml").write_text(yaml.safe_dump({"rosbag2_bagfile_information": information}))
+        if content is None:
+            paths[number].unlink()
+            loss = f"names split_{number}.mcap, which does not exist" if has_metadata else loss
+        else:
+            paths[number].write_bytes(content)
+        assert find_bags(folder) == [folder]
+        with open_bag(folder) as bag:
+            assert read(bag) == [message for index, part in enumerate(parts) if index != number for message in part]
+            assert any(loss in line for line in bag.losses)
+
     def test_folder_of_bags_gives_each_bag(self, tmp_path: Path) -> None:
         several = tmp_path / "several"
         several.mkdir()
@@ -749,8 +782,26 @@ def test_sqlite_rows_without_topic_or_time_are_counted(tmp_path: Path) -> None:
     with closing(sqlite3.connect(path)) as database:
         database.execute("UPDATE messages SET topic_id = 99 WHERE id IN (3, 5)")
         database.execute("UPDATE messages SET timestamp = -1 WHERE id = 7")
+        database.execute("UPDATE messages SET timestamp = 'noon' WHERE id = 9")
         database.commit()
     with open_bag(path) as bag:
-        assert len(list(bag.messages())) == len(MIXED) - 3
+        assert len(list(bag.messages())) == len(MIXED) - 4
         assert f"{path}: 2 messages of topics that the file does not define are lost" in bag.losses
-        assert f"{path}: 1 messages without a time, or before 1970, are lost" in bag.losses
+        assert f"{path}: 2 messages without a time, or before 1970, are lost" in bag.losses
+
+
+@pytest.mark.parametrize("kind", [FORCE_BLOCK, IMPACT])
+def test_force_and_impacts_that_were_recorded_twice_count_once(tmp_path: Path, kind: str) -> None:
+    """Otherwise two recorders, or a copied file of a bag, double the impacts of a series."""
+    blocks = [ForceBlock(T0 + i * 100 * MS, "sensor", 100 * i, 1000.0, np.zeros(100)) for i in range(5)]
+    impacts = [
+        Impact(block.stamp_ns, "sensor", 50.0, 0.01, 1.0, 1.0, *(False, False, 0, 0.0, 0.1, 0.0, "cell", True))
+        for block in blocks
+    ]
+    data = [*map(force_block_message, blocks)] if kind == FORCE_BLOCK else [*map(impact_message, impacts)]
+    messages = [Message("/force", kind, block.stamp_ns, text) for block, text in zip(blocks, data, strict=True)]
+    later = [message._replace(log_time_ns=message.log_time_ns + 150 * MS) for message in messages]
+    with open_bag(write_mcap(tmp_path / "a.mcap", [*messages, *later])) as bag:
+        read_all = bag.force_blocks if kind == FORCE_BLOCK else bag.impacts
+        assert [item.stamp_ns for item in read_all("/force")] == [block.stamp_ns for block in blocks]
+        assert bag.losses == (f"{bag.path}: /force: left out: recorded twice (5 times)",)

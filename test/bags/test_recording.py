@@ -24,8 +24,8 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
-from scara_effmass.bags.files import open_bag
-from scara_effmass.bags.recorder import LOSSES_RECORD, BagRecorder, DiskSpace, LossCounts, RecorderOptions
+from scara_effmass.bags.files import LOSSES_RECORD, open_bag
+from scara_effmass.bags.recorder import BagRecorder, DiskSpace, LossCounts, RecorderOptions
 from scara_effmass.bags.writer import CHUNK_BYTES, qos_yaml
 from scara_effmass.errors import BagError, OutputError
 

@@ -17,8 +17,8 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from rosbags.highlevel import AnyReader
 
-from scara_effmass.bags.files import open_bag
-from scara_effmass.bags.recorder import LOSSES_RECORD, BagRecorder, RecorderOptions
+from scara_effmass.bags.files import LOSSES_RECORD, open_bag
+from scara_effmass.bags.recorder import BagRecorder, RecorderOptions
 from scara_effmass.bags.repair import RepairReport, repair
 from scara_effmass.errors import BagError, OutputError
 from test.bags.messages import Message, write_mcap
@@ -291,6 +291,8 @@ class TestFolder:
         repair(folder)
         warnings = json.loads(about(folder)["custom_data"][LOSSES_RECORD])
         assert warnings == {"/text": {"queue": 1, "disk": 0, "middleware": 2}}
+        with open_bag(folder) as bag:
+            assert f"{folder}/metadata.yaml: /text: 3 messages were lost in recording" in bag.losses
 
     @pytest.mark.parametrize("size", [8, 20, 36])
     def test_with_a_file_that_is_cut_in_its_header_is_completed(self, tmp_path: Path, size: int) -> None:
@@ -308,6 +310,29 @@ class TestFolder:
         assert [line.partition(": ")[2][:8] for line in report.failed] == ["is empty"]
         assert not report.intact
         assert about(folder)["relative_file_paths"] == ["bag_0.mcap", "bag_1.mcap"]
+
+    @pytest.mark.parametrize(("number", "has_metadata"), [(0, True), (0, False), (1, True), (1, False), (2, True)])
+    def test_without_one_of_its_files_says_so_ever_after(
+        self, tmp_path: Path, number: int, *, has_metadata: bool
+    ) -> None:
+        folder = recorded(tmp_path / "bag")
+        (folder / f"bag_{number}.mcap").unlink()
+        if not has_metadata:
+            (folder / "metadata.yaml").unlink()
+        problem = f"bag_{number}.mcap, which does not exist" if has_metadata else "before number 2 that do not exist: 1"
+        for _ in range(2):
+            report = repair(folder)
+            with open_bag(folder) as bag:
+                assert any(line.endswith(problem) for line in bag.losses)
+            assert not report.intact or number == 2  # then nothing shows it but what the first repair has noted
+
+    def test_with_a_torn_file_says_ever_after_what_is_lost(self, tmp_path: Path) -> None:
+        folder = recorded(tmp_path / "bag")
+        cut(folder / "bag_1.mcap", 400)
+        (line,) = repair(folder).files[1].lost
+        assert repair(folder).intact
+        with open_bag(folder) as bag:
+            assert bag.losses == (f"{folder}/metadata.yaml: {line.removeprefix(f'{folder}/')}",)
 
     def test_of_another_format_is_refused(self, tmp_path: Path) -> None:
         (tmp_path / "bag").mkdir()
