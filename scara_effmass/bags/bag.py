@@ -2,7 +2,7 @@
 """An open bag of any format."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
@@ -179,7 +179,8 @@ class Bag(ABC):
     def timed_force_blocks(self, topic: str) -> Iterator[tuple[int, ForceBlock]]:
         """Yield log time [ns] and force block; see `force_blocks`."""
         check_definition(self.types, FORCE_BLOCK, str(self.path))
-        return self.decoded(topic, FORCE_BLOCK, lambda message: decode_force_block(message.data))
+        blocks = self.decoded(topic, FORCE_BLOCK, lambda message: decode_force_block(message.data))
+        return self._once(topic, blocks, lambda block: (block.stamp_ns, block.first_sample))
 
     def impacts(self, topic: str) -> Iterator[Impact]:
         """Yield the impacts of `topic`; see `force_blocks`."""
@@ -188,7 +189,8 @@ class Bag(ABC):
     def timed_impacts(self, topic: str) -> Iterator[tuple[int, Impact]]:
         """Yield log time [ns] and impact; see `force_blocks`."""
         is_earlier = check_definition(self.types, IMPACT, str(self.path))
-        return self.decoded(topic, IMPACT, lambda message: decode_impact(message.data, is_earlier=is_earlier))
+        impacts = self.decoded(topic, IMPACT, lambda message: decode_impact(message.data, is_earlier=is_earlier))
+        return self._once(topic, impacts, lambda impact: impact)
 
     def decoded(
         self, topic: str, message_type: str, decode: Callable[[RawMessage], Decoded]
@@ -202,6 +204,18 @@ class Bag(ABC):
                 yield message.log_time_ns, decode(message)
             except DecodeError as error:
                 add_loss(f"{self.path}: {topic}: left out: {error}")
+
+    def _once(
+        self, topic: str, items: Iterable[tuple[int, Decoded]], key: Callable[[Decoded], Hashable]
+    ) -> Iterator[tuple[int, Decoded]]:
+        """Yield `items`; those whose key an earlier one has are losses, because each impact must count once."""
+        add_loss, seen = self._losses.counter(), set[Hashable]()
+        for log_time_ns, item in items:
+            if key(item) in seen:
+                add_loss(f"{self.path}: {topic}: left out: recorded twice")
+                continue
+            seen.add(key(item))
+            yield log_time_ns, item
 
     def deserialize(self, message: RawMessage) -> Any:  # noqa: ANN401 - of a class that the bag defines
         """Return a message as an object with the fields of its type. Raises DecodeError."""
