@@ -209,7 +209,10 @@ def override(settings: Settings, chosen: dict[str, Any]) -> Settings:
 
 
 def load_dynamics(settings: MonitorSettings) -> RobotDynamics:
-    """Return the robot of `settings` with its mass models. Raises RobotError."""
+    """Return the robot of `settings` with its mass models. Raises RobotError, SettingsError."""
+    if settings.await_robot_description and not settings.robot:  # the default would be another robot
+        rule = "must be false where no topic is read, or come with the robot file by --robot"
+        raise SettingsError(f"await_robot_description = true: {rule}")
     from scara_effmass.model.load import load_robot  # noqa: PLC0415
     from scara_effmass.reference import RobotDynamics  # noqa: PLC0415 - loads Pinocchio
 
