@@ -236,6 +236,11 @@ def distinct_colors(count: int) -> list[str]:
     return [to_hex(color) for color in islice(cycle(colors), count)]
 
 
+def plain_text(text: str) -> str:
+    """Return the name of a file, robot or configuration for Matplotlib: in UTF-8, with `$` escaped."""
+    return text.encode(errors="replace").decode().replace("$", r"\$")
+
+
 def new_figure(width: float, height: float, title: str) -> Figure:
     """Return an empty figure of `width` by `height` [inch]; create and save it in the rc context `STYLE`."""
     figure = Figure(figsize=(width, height), layout="compressed")
@@ -301,7 +306,7 @@ def write_report_files(
     for name, text in texts.items():
         if isinstance(text, dict):
             text = json.dumps(text, indent=2, ensure_ascii=False, allow_nan=False) + "\n"  # noqa: PLW2901
-        files[name] = text if isinstance(text, bytes) else text.encode()
+        files[name] = text if isinstance(text, bytes) else text.encode(errors="replace")  # names of files may be bytes
     if options.pdf:
         files[PDF] = print_pdf(files[PAGE].decode())
     for figure in figures:

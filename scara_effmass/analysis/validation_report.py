@@ -29,6 +29,7 @@ from scara_effmass.analysis.report import (
     figure_files,
     file_hashes,
     new_figure,
+    plain_text,
     render,
     report_figure,
     setting_rows,
@@ -341,8 +342,8 @@ def color(number: int, count: int) -> tuple[float, float, float, float]:
 
 
 def configuration_label(configuration: str) -> str:
-    """Return the label of a configuration, with `$` escaped for Matplotlib."""
-    return configuration.replace("$", r"\$") or "not named"
+    """Return the label of a configuration for Matplotlib."""
+    return plain_text(configuration) or "not named"
 
 
 def draw_forces(result: Result) -> Figure:

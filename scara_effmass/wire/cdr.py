@@ -51,7 +51,7 @@ def header_stamp_ns(data: bytes) -> int:
 
 def with_text(before: bytes, text: str) -> bytes:
     """Append a CDR string to `before`: its aligned length and its zero-terminated bytes."""
-    data = text.encode() + b"\x00"
+    data = text.encode(errors="replace") + b"\x00"  # names of files may be bytes
     return before + b"\x00" * (-len(before) % 4) + COUNT.pack(len(data)) + data
 
 

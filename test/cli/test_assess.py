@@ -3,13 +3,14 @@
 
 import csv
 import json
+import os
 import subprocess
 import sys
 from collections import Counter
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from shutil import copyfile
+from shutil import copyfile, copytree
 from typing import Any
 
 import numpy as np
@@ -385,6 +386,26 @@ def test_wrong_robot_is_refused(swing_bag: Path, refused: Refused, tmp_path: Pat
     line = refused("assess", swing_bag, "-o", tmp_path / "a.csv", "--robot", robot)
     assert "none of its joint states names a joint of the robot (axis1, axis2, axis3, axis4)" in line
     assert "give its robot file (--robot)" in line
+
+
+def test_robot_of_a_topic_is_not_replaced_by_the_default(
+    swing_bag: Path, cli: Cli, refused: Refused, tmp_path: Path
+) -> None:
+    params = tmp_path / "cell.yaml"
+    params.write_text("monitor: {ros__parameters: {await_robot_description: true}}", encoding="utf-8")
+    words = ("assess", swing_bag, "-o", tmp_path / "a.csv", "--params", params)
+    rule = "must be false where no topic is read, or come with the robot file by --robot"
+    assert refused(*words) == f"await_robot_description = true: {rule}"
+    assert cli(*words, "--robot", share("config", "omron_i4_550l.yaml")).returncode == 0
+
+
+@pytest.mark.parametrize("command", ["assess", "advise"])
+def test_figures_take_any_name_of_a_file(swing_bag: Path, cli: Cli, tmp_path: Path, command: str) -> None:
+    path = tmp_path / os.fsdecode(b"\xff $\\frac$")
+    copytree(swing_bag, path)
+    report = ("-o", tmp_path / "a.csv", "--report") if command == "assess" else ("-o",)
+    done = cli(command, path, "--contact-point", "tool", *report, tmp_path / "out", "--json")
+    assert done.returncode == 0, done.stderr
 
 
 def test_gaps_and_joint_states_of_other_devices_are_counted(swing_bag: Path, cli: Cli, tmp_path: Path) -> None:
