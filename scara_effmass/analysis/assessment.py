@@ -30,7 +30,7 @@ from scara_effmass.settings import MonitorSettings, VelocitySource
 from scara_effmass.values import Decision, FloatArray, JointState, Payload
 from scara_effmass.wire.message_types import INERTIA, JOINT_STATE
 from scara_effmass.wire.payload import decode_payload
-from scara_effmass.wire.topics import JOINT_COMMANDS
+from scara_effmass.wire.topics import JOINT_COMMANDS, ROBOT_DESCRIPTION
 
 Names = tuple[str, ...]
 ROWS = 49_152
@@ -266,6 +266,7 @@ class RecordedVelocities:
 
     def __init__(self, bag: Bag, topic: str, max_gap_ns: int) -> None:
         """Read `topic` of `bag`, whose gaps are longer than `max_gap_ns`."""
+        self.bag = bag
         self._states = (
             (log_time_ns, block.names, velocity)
             for block in bag.joint_state_blocks(topic)
@@ -368,6 +369,18 @@ def other_topic_lines(bag: Bag, topic: str, monitor: Monitor) -> Iterator[tuple[
             watching.watch_others(block.names, block.log_time_ns, block.position, block.velocity)
         moved = ", ".join(watching.unmodelled_joints)
         yield "other topic", f"{other} is not assessed{f', but joints outside the model moved: {moved}' * bool(moved)}"
+
+
+def unapplied_lines(bag: Bag, settings: MonitorSettings) -> Iterator[tuple[str, str]]:
+    """Yield subject and text of each topic of `bag` with a payload or a robot that `settings` do not apply."""
+    for topic in bag.topics:
+        name, text = topic.name.lstrip("/"), ""
+        if topic.type == INERTIA and name != settings.payload_topic.lstrip("/"):
+            text = f"payload, which is not applied: --payload-topic {name} applies it"
+        elif name.endswith(ROBOT_DESCRIPTION) and not settings.robot:
+            text = "robot, but the default one is assessed: give its file by --robot"
+        if text and topic.count:
+            yield "other topic", f"{topic.name} states a {text}"
 
 
 def payload_topics(bag: Bag, name: str) -> list[str]:

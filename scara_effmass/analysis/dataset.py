@@ -30,6 +30,7 @@ from scara_effmass.analysis.assessment import (
     joint_state_topic,
     open_velocities,
     other_topic_lines,
+    unapplied_lines,
 )
 from scara_effmass.analysis.forces import RecordedForce, read_force
 from scara_effmass.analysis.output import atomic_file, check_output_path
@@ -128,7 +129,7 @@ def assess_bag(
         notes = [*skew.lines(settings, task.time)]
         if monitor.load_watch.estimate is not None:
             notes.append((LOAD_ENTRY, monitor.load_text))
-        notes += other_topic_lines(bag, topic, monitor)
+        notes += [*other_topic_lines(bag, topic, monitor), *unapplied_lines(bag, settings)]
         if monitor.unmatched:
             notes.append(("ignored joints", f"no joint state names {', '.join(monitor.unmatched)}"))
         drawable = None
@@ -136,7 +137,8 @@ def assess_bag(
             builds = (builder.build() for builder in series)
             named = dict(zip(dynamics.contact_points, builds, strict=True))
             drawable = Drawable(named, read_force(bag), bool(generated_description(bag)))
-        return BagResult(summary, counts, bag.losses, notes, monitor.unmodelled_joints, drawable)
+        losses = bag.losses + (velocities.bag.losses if velocities else ())
+        return BagResult(summary, counts, losses, notes, monitor.unmodelled_joints, drawable)
 
 
 class Record(NamedTuple):

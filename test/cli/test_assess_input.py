@@ -17,6 +17,7 @@ from scara_effmass.bags.writer import BagWriter
 from scara_effmass.share import share
 from scara_effmass.values import JointState
 from scara_effmass.wire.joint_state import joint_state_message
+from scara_effmass.wire.message_types import INERTIA, STRING
 from test.cli.conftest import START_NS, Cli, Refused
 
 Change = Callable[[JointState], JointState]
@@ -162,10 +163,12 @@ def test_velocities_of_another_recording_are_joined_by_log_time(
                     turned = JointState(0, state.names[::-1], NO_NUMBERS, state.velocity[::-1])
                     velocities.write("/velocities", JOINT_STATE, log_time_ns + 1_000_000, joint_state_message(turned))
                 number += 1
+        velocities.write("/velocities", JOINT_STATE, log_time_ns, b"damaged")
     words = ("assess", positions, "--velocity-bag", tmp_path / "velocities.mcap")
     done = cli(*words, "-o", tmp_path / "a.parquet")
     assert done.returncode == 0
     assert f"velocity        from {tmp_path / 'velocities.mcap'}, interpolated at the log times" in done.stdout
+    assert f"not read        {tmp_path / 'velocities.mcap'}: /velocities: left out: " in done.stdout
     rows = rows_of(tmp_path / "a.parquet")
     for number, (row, expected) in enumerate(zip(rows[::6], plain[::6], strict=True)):
         missing = number < 1 or 400 < number <= 700 or number > 995
@@ -250,9 +253,7 @@ def test_positions_beyond_the_limits_of_the_default_are_another_arm(
     assert "another arm" not in stated.stdout
 
 
-def test_topic_beside_the_assessed_one_is_named_with_the_joints_that_moved(
-    swing_bag: Path, cli: Cli, tmp_path: Path
-) -> None:
+def test_topic_beside_the_assessed_one_is_named_with_what_it_states(swing_bag: Path, cli: Cli, tmp_path: Path) -> None:
     with open_bag(swing_bag) as bag, BagWriter(tmp_path / "two") as both:
         for message in bag.messages():
             both.write(message.topic, message.type, message.log_time_ns, message.data)
@@ -262,10 +263,14 @@ def test_topic_beside_the_assessed_one_is_named_with_the_joints_that_moved(
                 for i in range(5)
             )
             both.write_joint_states(topic, moving)
+        both.write("/payload", INERTIA, START_NS, b"")
+        both.write("/robot_description", STRING, START_NS, b"")
     result = json.loads(cli("assess", tmp_path / "two", "-o", tmp_path / "a.csv", "--json").stdout)
     assert sorted(text for subject, text in result["input"] if subject == "other topic") == [
         "/door/joint_states is not assessed",
+        "/payload states a payload, which is not applied: --payload-topic payload applies it",
         "/rail/joint_states is not assessed, but joints outside the model moved: rail",
+        "/robot_description states a robot, but the default one is assessed: give its file by --robot",
     ]
 
 
