@@ -48,6 +48,8 @@ class Coverage(BaseModel):
     joint_states: NonNegativeInt = 0
     counts: dict[str, list[NonNegativeInt]]
     poses: set[NonNegativeInt] = set()
+    losses: list[str] = []
+    """Parts of the recordings that could not be read."""
 
     @classmethod
     def of_robot(cls, robot: Robot) -> Coverage:
@@ -109,6 +111,7 @@ class Coverage(BaseModel):
             self.counts[name] = [sum(counts) for counts in zip(bins, other.counts[name], strict=True)]
         self.joint_states += other.joint_states
         self.poses |= other.poses
+        self.losses += other.losses
 
     def shares(self) -> dict[str, Any]:
         """Return the covered share of each quantity, of the poses, and the lower end of the fastest bins [m/s]."""
@@ -145,12 +148,24 @@ class Coverage(BaseModel):
                 speeds = figure.add_subplot(grid[row, 1])
                 speeds.bar(range(len(SPEEDS)), self.counts[f"speed {point}"], width=0.9, color=CYCLE[0])
                 speeds.set_xticks(range(len(SPEEDS)), [f"{speed:g}" for speed in SPEEDS], fontsize=9.0)
-                speeds.set(xlabel="speed, from [m/s]", ylabel="joint states", title=point, yscale="log")
+                speeds.set(
+                    xlabel="speed, from [m/s]",
+                    ylabel="joint states",
+                    title=point,
+                    yscale=_log_scale(self.joint_states > 0),
+                )
         return figure
+
+
+def _log_scale(is_visited: object) -> str:
+    """Return the scale of counts: Matplotlib has no logarithmic one for zeros alone."""
+    return "log" if is_visited else "linear"
 
 
 def _draw_bins(axes: Axes, bins: FloatArray, x: tuple[float, float], y: tuple[float, float]) -> None:
     """Draw the visited `bins` (n, m) over x and y; the others stay white."""
     edges = (np.linspace(*ends, count + 1) for ends, count in ((x, bins.shape[1]), (y, bins.shape[0])))
-    mesh = axes.pcolormesh(*edges, np.where(bins > 0, bins, np.nan), norm="log", edgecolor="#EEEEEE", linewidth=0.3)
+    mesh = axes.pcolormesh(
+        *edges, np.where(bins > 0, bins, np.nan), norm=_log_scale(bins.any()), edgecolor="#EEEEEE", linewidth=0.3
+    )
     axes.figure.colorbar(mesh, ax=axes, label="joint states")

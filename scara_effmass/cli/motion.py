@@ -142,7 +142,7 @@ def _coverage(args: argparse.Namespace) -> int:
             coverage.extend(counted, path)
     shares = coverage.shares()
     result = {"output": str(args.output), "joint_states": coverage.joint_states, "covered": shares}
-    result["unreadable"] = unreadable
+    result |= {"unreadable": unreadable, "losses": coverage.losses}
     text = json.dumps({**result, "coverage": coverage.model_dump(mode="json")}, allow_nan=False)
     figure = report_figure(COVERAGE, f"Coverage of {coverage.robot}", "", coverage.figure())
     write_report_files(args.output, {COUNTS: f"{text}\n"}, [figure], overwrite=args.force)
@@ -150,6 +150,7 @@ def _coverage(args: argparse.Namespace) -> int:
     lines += [("joint states", f"{coverage.joint_states} valid ones")]
     lines += [(name, f"{share:.1%} of its bins") for name, share in shares.items() if isinstance(share, float)]
     lines += [(name, f"fastest from {speed:g} m/s on") for name, speed in shares["fastest_bin_from_m_s"].items()]
+    lines += [("not read", loss) for loss in coverage.losses]
     lines += [("not counted", error) for error in unreadable]
     print_result(result, [*lines, ("written", args.output / COUNTS)], as_json=args.json)
     return 1 if unreadable else 0
@@ -167,4 +168,5 @@ def _counted(settings: MonitorSettings, topic: str | None, time: Time, path: Pat
             advance(share)
             if state is not None:
                 coverage.add(state, decision.contacts)
+        coverage.losses += bag.losses
     return coverage

@@ -7,8 +7,10 @@ from pathlib import Path
 import pytest
 from matplotlib.image import imread
 
+from scara_effmass.bags.writer import BagWriter
 from scara_effmass.share import share
-from test.cli.conftest import Cli, Refused
+from scara_effmass.wire.message_types import JOINT_STATE
+from test.cli.conftest import START_NS, Cli, Refused
 
 
 def test_counts_of_an_earlier_run_are_added(swing_bag: Path, cli: Cli, refused: Refused, tmp_path: Path) -> None:
@@ -46,3 +48,13 @@ def test_other_file_is_refused(refused: Refused, tmp_path: Path) -> None:
     for content in ("{}", "no JSON", "[1]"):
         (tmp_path / "other.json").write_text(content, encoding="utf-8")
         assert "must be a coverage.json" in refused("coverage", tmp_path / "other.json", "-o", tmp_path / "out")
+
+
+def test_losses_are_listed_also_without_a_valid_joint_state(cli: Cli, tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "a.mcap") as bag:
+        bag.write("/joint_states", JOINT_STATE, START_NS, b"damaged")
+    done = cli("coverage", tmp_path / "a.mcap", "-o", tmp_path / "out", "--json")
+    assert (done.returncode, done.stderr) == (0, "")
+    result = json.loads(done.stdout)
+    assert result["joint_states"] == 0
+    assert [loss.partition(": left out: ")[0] for loss in result["losses"]] == [f"{tmp_path / 'a.mcap'}: /joint_states"]
