@@ -32,6 +32,8 @@ MIN_FACTOR = 0.02
 """Minimum factor; a segment that needs a smaller one gets none."""
 MAX_STEP_S = 0.02
 """Longest time between two states of the re-timed motion, unless the recorded ones are further apart."""
+MAX_ADDED = 1000
+"""Largest number of states between two recorded ones; with fewer than it takes, the next ones are UNKNOWN."""
 SLOWER = 0.8
 """Next factor of a state that is WARN for another reason than its speed."""
 MAX_SHARE = 3.0
@@ -84,7 +86,8 @@ class Motion:
         s = self._ramped(factors)
         step = np.diff(self.time)
         time = np.concatenate(([0.0], np.cumsum(2.0 * step / (s[1:] + s[:-1]))))
-        counts = np.maximum(np.ceil(np.diff(time) / max(np.median(step), MAX_STEP_S) - 1e-6), 1.0).astype(np.intp)
+        counts = np.ceil(np.diff(time) / max(np.median(step), MAX_STEP_S) - 1e-6)
+        counts = np.clip(counts, 1.0, MAX_ADDED).astype(np.intp)  # a pause may last for hours
         steps = zip(time[:-1], time[1:], counts, strict=True)
         pieces = [np.linspace(start, end, count, endpoint=False) for start, end, count in steps]
         times = np.concatenate([*pieces, time[-1:]])
