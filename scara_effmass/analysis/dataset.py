@@ -235,11 +235,11 @@ def assess_part(
 
 
 def remove_unfinished(folder: Path, bags: Iterable[Path]) -> None:
-    """Remove from a local `folder` what killed processes have left of the parts of `bags`."""
+    """Remove from a local `folder` what killed processes of this machine have left of the parts of `bags`."""
     stems = {bag.stem for bag in bags}
     for file in () if isinstance(folder, Url) else folder.glob("cell=*/day=*/.*.parquet"):
-        unfinished = re.fullmatch(r"\.(?P<stem>.+)-[0-9a-f]{16}-\d+\.parquet", file.name)
-        if unfinished and unfinished["stem"] in stems:
+        unfinished = re.fullmatch(r"\.(?P<stem>.+)-[0-9a-f]{16}-(?P<process>\d+)\.parquet", file.name)
+        if unfinished and unfinished["stem"] in stems and not Path("/proc", unfinished["process"]).exists():
             file.unlink(missing_ok=True)
 
 

@@ -30,6 +30,7 @@ from scara_effmass.share import share
 
 TASK = BagTask(MonitorSettings())
 Assess = Callable[..., BagResult]
+NO_PROCESS = 1 << 22  # above the largest number of a process
 
 
 @pytest.fixture(scope="module")
@@ -210,8 +211,9 @@ def test_a_damaged_result_is_refused_in_one_line(assess: Assess, tmp_path: Path,
 def test_only_unfinished_parts_of_these_recordings_are_removed(tmp_path: Path) -> None:
     day = tmp_path / "cell=A7" / "day=2026-01-01"
     day.mkdir(parents=True)
-    unfinished = day / f".run-{16 * 'a'}-123.parquet"
-    kept = [day / f".other-{16 * 'a'}-123.parquet", day / ".run-a-b.parquet", tmp_path / unfinished.name]
+    unfinished = day / f".run-{16 * 'a'}-{NO_PROCESS}.parquet"
+    others = [f".other-{16 * 'a'}-{NO_PROCESS}.parquet", f".run-{16 * 'a'}-{os.getpid()}.parquet"]
+    kept = [*(day / name for name in others), day / ".run-a-b.parquet", tmp_path / unfinished.name]
     for file in (unfinished, *kept):
         file.touch()
     remove_unfinished(tmp_path, [Path("bags/run.mcap")])

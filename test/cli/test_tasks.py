@@ -210,7 +210,7 @@ def test_without_dask_one_process_does_it_and_says_so(
 def test_dataset_loses_what_killed_processes_left_of_its_recordings(tmp_path: Path, cli: Cli) -> None:
     day = tmp_path / "dataset" / "cell=A7" / "day=2026-01-01"
     day.mkdir(parents=True)
-    left, other = day / ".a-0123456789abcdef-1234.parquet", day / ".another-0123456789abcdef-1234.parquet"
+    left, other = day / ".a-0123456789abcdef-4194304.parquet", day / ".another-0123456789abcdef-4194304.parquet"
     left.touch()
     other.touch()
     assert cli("assess", make_bags(tmp_path, "a"), "-o", tmp_path / "dataset").returncode == 0
