@@ -5,12 +5,14 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
 import pytest
 import rclpy
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
@@ -42,6 +44,30 @@ def test_spinning_ends_under_constant_load() -> None:
         spin_for(executor, 600.0, lambda: calls >= before + 10)
         assert calls == before + 10
         executor.shutdown()
+
+
+@pytest.mark.usefixtures("own_domain")
+def test_spinning_goes_on_after_an_event_of_a_destroyed_subscription() -> None:
+    calls: list[int] = []
+
+    def destroy() -> None:
+        node.create_publisher(String, "text", 1)
+        while not subscription.get_publisher_count():
+            time.sleep(0.01)
+        node.destroy_subscription(subscription)  # its event waits for the executor, which is here
+        executor.create_task(calls.append, 1)
+
+    with ros_node("renewing") as node:
+        subscription = node.create_subscription(
+            String, "text", lambda _: None, 1, event_callbacks=SubscriptionEventCallbacks(matched=lambda _: None)
+        )
+        executor = EventsExecutor(context=node.context)
+        executor.add_node(node)
+        spin_for(executor, 0.1)  # the executor notices the subscription
+        executor.create_task(destroy)
+        spin_for(executor, 60.0, lambda: bool(calls))
+        executor.shutdown()
+    assert calls == [1]
 
 
 @pytest.mark.usefixtures("own_domain")
