@@ -102,6 +102,9 @@ def nodes(context: LaunchContext) -> list[Node]:
         raise FileNotFoundError(f"params_file = {params_file}: must be an existing file")
     if robot and arguments["robot_from_topic"] == "true":
         raise ValueError(f"robot = {robot}: must be empty with robot_from_topic")
+    if arguments["dashboard"] and arguments["robot_from_topic"] == "true":  # the page would show the shipped robot
+        rule = "must be empty with robot_from_topic: start `scara-effmass dashboard --robot FILE` beside it"
+        raise ValueError(f"dashboard = {arguments['dashboard']}: {rule}")
     if arguments["replay"] and not arguments["use_sim_time"]:
         arguments["use_sim_time"] = "true"
     file: dict[str, str | bool] = {"robot": robot} if robot else {}

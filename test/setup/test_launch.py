@@ -129,8 +129,9 @@ def test_robot_is_a_file_or_the_topic(launch_file: dict[str, Any]) -> None:
     assert nodes["dashboard"].arguments[:5] == ["dashboard", "--port", "8321", "--robot", "arm.urdf"]
     nodes = named(launch_file["nodes"](context(launch_file, robot_from_topic="true", visualization="true")))
     assert [stated(node) for node in nodes.values()] == [{"await_robot_description": True}] * 2
-    with pytest.raises(ValueError, match=r"robot = arm\.urdf: must be empty with robot_from_topic"):
-        launch_file["nodes"](context(launch_file, robot_from_topic="true", robot="arm.urdf"))
+    for name, value in (("robot", "arm.urdf"), ("dashboard", "8321")):
+        with pytest.raises(ValueError, match=f"{name} = {value}: must be empty with robot_from_topic"):
+            launch_file["nodes"](context(launch_file, robot_from_topic="true", **{name: value}))
 
 
 def test_speed_scaling_is_sent_to_the_topic_of_the_controller(launch_file: dict[str, Any]) -> None:
