@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
-from scara_effmass.analysis.report import CYCLE, STYLE, new_figure, plain_text
+from scara_effmass.analysis.report import CYCLE, STYLE, figure_text, new_figure
 from scara_effmass.cell.scaled_trajectory import ScaledTrajectory
 from scara_effmass.codes import Reason
 from scara_effmass.errors import BagError
@@ -252,7 +252,7 @@ def _smallest(allowed: _Allowed, owner: IntArray, count: int) -> tuple[FloatArra
 def draw_advice(motion: Motion, advice: Advice, title: str) -> Figure:
     """Return the figure: speed over allowable speed of both motions, and the factors, over the recorded time."""
     with mpl.rc_context(STYLE):
-        figure = new_figure(9.0, 5.5, plain_text(title))
+        figure = new_figure(9.0, 5.5, figure_text(title))
         used, factor = figure.subplots(2, 1, sharex=True)
         used.plot(motion.time, advice.recorded, color=CYCLE[1], label="as recorded")
         if advice.states:

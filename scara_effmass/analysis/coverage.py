@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from pydantic import BaseModel, NonNegativeInt
 
-from scara_effmass.analysis.report import CYCLE, STYLE, new_figure, plain_text
+from scara_effmass.analysis.report import CYCLE, STYLE, figure_text, new_figure
 from scara_effmass.errors import SettingsError
 from scara_effmass.input_files import read_text
 from scara_effmass.model.robot import Robot
@@ -131,7 +131,7 @@ class Coverage(BaseModel):
         with mpl.rc_context(STYLE):
             height = 0.32 * len(self.ranges) + 1.4
             title = f"{self.robot}: coverage, recordings: {len(self.recordings)}, joint states: {self.joint_states}"
-            figure = new_figure(11.0, height + 3.3 * len(points), plain_text(title))
+            figure = new_figure(11.0, height + 3.3 * len(points), figure_text(title))
             grid = figure.add_gridspec(1 + len(points), 2, height_ratios=[height, *[3.0] * len(points)])
             joints = figure.add_subplot(grid[0, :])
             rows = np.array([self.counts[f"position {name}"] for name in self.ranges], float)

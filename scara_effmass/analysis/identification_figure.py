@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from scara_effmass.analysis.identification import Identification
-from scara_effmass.analysis.report import CYCLE, INK, STYLE, distinct_colors, new_figure, plain_text
+from scara_effmass.analysis.report import CYCLE, INK, STYLE, distinct_colors, figure_text, new_figure
 from scara_effmass.identification.regression import Z_95
 
 
@@ -18,7 +18,7 @@ def draw_identification(found: Identification) -> Figure:
     """Return the picture of one identification."""
     masses, torques, names = found.masses, found.torques, found.robot.joint_names
     with mpl.rc_context(STYLE):
-        title = plain_text(f"Masses of {found.robot.name} by {found.path.name}")
+        title = figure_text(f"Masses of {found.robot.name} by {found.path.name}")
         figure = new_figure(12.0, max(4.5, 1.0 + 1.1 * len(names)), title)
         grid = figure.add_gridspec(len(names), 2, width_ratios=(1.0, 1.4))
         left = figure.add_subplot(grid[:, 0])

@@ -236,7 +236,7 @@ def distinct_colors(count: int) -> list[str]:
     return [to_hex(color) for color in islice(cycle(colors), count)]
 
 
-def plain_text(text: str) -> str:
+def figure_text(text: str) -> str:
     """Return the name of a file, robot or configuration for Matplotlib: in UTF-8, with `$` escaped."""
     return text.encode(errors="replace").decode().replace("$", r"\$")
 

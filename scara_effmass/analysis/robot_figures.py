@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d import Axes3D  # type: ignore[import-untyped]
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
 
-from scara_effmass.analysis.report import CYCLE, INK, STYLE, distinct_colors, new_figure, plain_text
+from scara_effmass.analysis.report import CYCLE, INK, STYLE, distinct_colors, figure_text, new_figure
 from scara_effmass.model.hulls import triangles
 from scara_effmass.model.lumping import LumpedModel
 from scara_effmass.model.robot import Robot
@@ -34,7 +34,7 @@ def draw_hulls(robot: Robot) -> Figure:
     poses = _zero_poses(robot)
     parts = [poses[:, :3, 3]]
     with mpl.rc_context(STYLE):
-        figure = new_figure(9.5, 7.5, f"Hulls of {plain_text(robot.name)}: what whole_arm watches")
+        figure = new_figure(9.5, 7.5, f"Hulls of {figure_text(robot.name)}: what whole_arm watches")
         axes = figure.add_subplot(projection="3d")
         shown: list[Artist] = axes.plot(*parts[0].T, "o-", color=INK, linewidth=1.0, markersize=3.0, label="joints")
         colors = distinct_colors(len(robot.contact_frames))
@@ -61,7 +61,7 @@ def draw_masses(robot: Robot, lumped: LumpedModel) -> Figure:
     everything = np.vstack([origins, *(at for _, at in masses)])
     reach = float(np.ptp(everything, axis=0).max()) / 8.0
     with mpl.rc_context(STYLE):
-        figure = new_figure(9.5, 7.5, f"Lumped masses of {plain_text(robot.name)}")
+        figure = new_figure(9.5, 7.5, f"Lumped masses of {figure_text(robot.name)}")
         axes = figure.add_subplot(projection="3d")
         axes.plot(*origins.T, color=CYCLE[0], linewidth=4.0, alpha=0.5, label="joint origins, base to tip")
         for joint in range(1, robot.model.njoints):

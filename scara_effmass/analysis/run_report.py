@@ -26,9 +26,9 @@ from scara_effmass.analysis.report import (
     PageOptions,
     ReportFigure,
     figure_files,
+    figure_text,
     file_hashes,
     new_figure,
-    plain_text,
     render,
     report_figure,
     setting_rows,
@@ -205,7 +205,7 @@ def draw_run(
     """
     with mpl.rc_context(_STYLE):
         heights = (0.25, 2.2, 1.6, 1.3) if forces else (0.25, 2.2, 1.6)
-        figure = new_figure(13.0, 1.9 * sum(heights), plain_text(title))
+        figure = new_figure(13.0, 1.9 * sum(heights), figure_text(title))
         rows = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
         band, speeds, masses = rows[:3]
         series = series.with_gaps(timeout)

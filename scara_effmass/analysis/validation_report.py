@@ -27,9 +27,9 @@ from scara_effmass.analysis.report import (
     PageOptions,
     ReportFigure,
     figure_files,
+    figure_text,
     file_hashes,
     new_figure,
-    plain_text,
     render,
     report_figure,
     setting_rows,
@@ -343,7 +343,7 @@ def color(number: int, count: int) -> tuple[float, float, float, float]:
 
 def configuration_label(configuration: str) -> str:
     """Return the label of a configuration for Matplotlib."""
-    return plain_text(configuration) or "not named"
+    return figure_text(configuration) or "not named"
 
 
 def draw_forces(result: Result) -> Figure:

@@ -24,7 +24,7 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from scara_effmass.analysis.report import ISO_RED, STYLE, distinct_colors, new_figure, plain_text
+from scara_effmass.analysis.report import ISO_RED, STYLE, distinct_colors, figure_text, new_figure
 from scara_effmass.analysis.summary import mass_model_counts
 from scara_effmass.errors import RobotError
 from scara_effmass.model.poses import ManyPoses
@@ -299,9 +299,9 @@ def draw_map(cells: Cells, table: pa.Table, title: str, iso_mass: float) -> Figu
     speed = "allowable speed along n{} [m/s]"
     panels[speed.format("")] = table["allowable_speed_m_s"].to_numpy()
     if len(cells.sample.assessed.points) == 1:
-        return cells.draw(plain_text(title), panels, iso_mass)
+        return cells.draw(figure_text(title), panels, iso_mass)
     panels[speed.format(", all contacts")] = table["allowable_speed_all_contacts_m_s"].to_numpy()
-    return cells.draw(plain_text(title), panels, iso_mass, table["deciding_contact"].to_pylist())
+    return cells.draw(figure_text(title), panels, iso_mass, table["deciding_contact"].to_pylist())
 
 
 def summarize(cells: Cells, table: pa.Table, iso_mass: float) -> dict[str, Any]:

@@ -181,8 +181,7 @@ def _open_folder(folder: Path, losses: LossLog) -> Bag:
         raise BagError(
             f"{folder / METADATA}: compression = {compression} of each {mode}: must be zstd of file or message"
         )
-    # Older recorders wrote the names with the folder in front.
-    named = [*dict.fromkeys(folder / Path(str(name)).name for name in metadata.get("relative_file_paths") or ())]
+    named = named_files(folder, metadata)
     losses.extend(missing_files(folder, present, named))
     losses.extend(f"{folder / METADATA}: {line}" for line in _stored_losses(metadata))
     paths = [path for path in named if path in present]
@@ -203,6 +202,12 @@ def _open_folder(folder: Path, losses: LossLog) -> Bag:
     if metadata.get("message_count", count) != count:
         losses.add(f"{folder / METADATA}: lists {metadata['message_count']} messages, the files contain {count}")
     return bag
+
+
+def named_files(folder: Path, metadata: Mapping[str, Any]) -> list[Path]:
+    """Return the files of `folder` that its `metadata` names, each once."""
+    # Older recorders wrote the names with the folder in front.
+    return [*dict.fromkeys(folder / Path(str(name)).name for name in metadata.get("relative_file_paths") or ())]
 
 
 def missing_files(folder: Path, present: Sequence[Path], named: Sequence[Path]) -> Iterator[str]:

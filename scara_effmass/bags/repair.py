@@ -19,6 +19,7 @@ from scara_effmass.bags.files import (
     SPLIT_NAME,
     bag_files,
     missing_files,
+    named_files,
     read_metadata,
 )
 from scara_effmass.bags.mcap_bag import DAMAGE, RECORD_HEAD, McapCopy, McapFile, open_mcap, read_index, records
@@ -101,8 +102,7 @@ def _repair_bag(bag: Path) -> RepairReport:
     information: dict[str, Any] = {}
     with suppress(OSError):
         information = read_metadata(bag, LossLog())
-    named = [bag / Path(str(name)).name for name in information.get("relative_file_paths") or ()]
-    failed += missing_files(bag, bag_files(bag), named)
+    failed += missing_files(bag, bag_files(bag), named_files(bag, information))
     lost = [line.removeprefix(f"{bag}{os.sep}") for line in [*failed, *(line for file in files for line in file.lost)]]
     rewritten = _update_metadata(bag, information, files, [content for _, content in repaired], lost)
     return RepairReport(files, tuple(failed), metadata_rewritten=rewritten)

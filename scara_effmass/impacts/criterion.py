@@ -85,11 +85,11 @@ def _too_few(criterion: CriterionSettings, series: Series) -> Iterator[str]:
 def _rejections(criterion: CriterionSettings, series: Series) -> Iterator[str]:
     agreement, fit, clock, exponent = series.agreement, series.fit, series.clock, _law(criterion)
     if _is_apart(clock):
-        offset = f"are {1e3 * clock.offset:+.1f} ms behind the force (median)"
-        if math.isnan(clock.offset):
-            offset = f"and the force are apart by an unknown time, {clock.extremes} by single impacts"
+        offset = f"the joint states and the force are apart by an unknown time, {clock.extremes} by single impacts"
+        if not math.isnan(clock.offset):
+            offset = _median_offset(clock)
         limit = f"{clock.beyond} of {_impacts(clock.impacts)} exceed {1e3 * criterion.largest_clock_offset:g} ms"
-        yield f"the joint states {offset}: {limit}"
+        yield f"{offset}: {limit}"
     if not agreement.correlation_reason and agreement.correlation < criterion.least_correlation:
         yield f"correlation {agreement.correlation:.4f} is below {criterion.least_correlation:g}"
     if agreement.relative_rmse > criterion.largest_relative_rmse:
@@ -186,7 +186,11 @@ def _clock_cause(clock: ClockOffset) -> str:
     """Return that the clocks can be the cause of a rejection: states a few ms late have been slowed by the impact."""
     if _is_apart(clock) or not abs(clock.offset) > 2.0 * clock.resolution:
         return ""
-    return f"; the joint states are {1e3 * clock.offset:+.1f} ms behind the force (median), which may be the cause"
+    return f"; {_median_offset(clock)}, which may be the cause"
+
+
+def _median_offset(clock: ClockOffset) -> str:
+    return f"the joint states are {1e3 * clock.offset:+.1f} ms behind the force (median)"
 
 
 def _percent(share: float) -> str:

@@ -274,17 +274,17 @@ def push_bound(
     it allows the speed `least` [m/s] anyway.
     """
     force = push_force(case, drives, setup)
-    rest = case.force * (case.force - 2.0 * force)
-    if rest <= 0.0:
+    rate = pushed_rate(case, case.force, force)
+    if rate == math.inf:
         return Bound(0.0 if force < math.inf else -math.inf, 0.0, 0.0, force, 0.0, 0.0)
     slowest, factor = NO_BOUND, setup.mass_factor
     for k in range(len(mobilities)):
         m = mobilities[k]
         if m.hull != HULL_NONE and speed > 0.0:
             mu = factor * point_reduced_mass(m, factor * case.obstacle_mobility, 1.0)
-            if mu * case.stiffness * speed * speed >= rest:
+            if mu * rate * speed * speed >= 1.0:
                 return Bound(-math.inf, 0.0, 0.0, force, 0.0, 0.0)
-        bound = free_bound(case, m, factor, case.stiffness / rest, least)
+        bound = free_bound(case, m, factor, rate, least)
         slowest = bound if k == 0 else slower(slowest, bound)
     return with_push(slowest, force)
 

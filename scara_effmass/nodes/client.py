@@ -26,10 +26,10 @@ _SPIN_LIMIT_S = 1e9
 
 
 @contextmanager
-def one_spin() -> Iterator[None]:
-    """Let a spin of EventsExecutor end early at an event of what a callback has destroyed meanwhile; spin again then.
+def ignoring_late_events() -> Iterator[None]:
+    """Ignore an event of an entity that a callback has destroyed; the spin ends with it, so spin again.
 
-    Of rclpy 7.1, the executor takes the event all the same, which raises InvalidHandle.
+    The EventsExecutor of rclpy 7.1 takes such an event, which raises InvalidHandle.
     """
     try:
         yield
@@ -46,7 +46,7 @@ def spin_for(executor: Executor, seconds: float, done: Callable[[], bool] = bool
     """
     end_ns = time.monotonic_ns() + round(min(seconds, _SPIN_LIMIT_S) * 1e9)
     while not done() and (left_ns := end_ns - time.monotonic_ns()) > 0:
-        with one_spin():
+        with ignoring_late_events():
             executor.spin_once(timeout_sec=min(left_ns / 1e9, _SPIN_SLICE_S))
 
 

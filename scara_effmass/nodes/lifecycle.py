@@ -51,7 +51,7 @@ from std_srvs.srv import Trigger
 from scara_effmass.codes import Reason
 from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.nodes import parameters
-from scara_effmass.nodes.client import one_spin
+from scara_effmass.nodes.client import ignoring_late_events
 from scara_effmass.nodes.parameters import Parameters
 from scara_effmass.nodes.process import END_SIGNALS, catch, one_line, start_refusal, start_ros
 from scara_effmass.nodes.qos import qos_profile
@@ -489,7 +489,7 @@ class _Spin:
         with self._lock:
             self._has_begun = rclpy.ok()
         while rclpy.ok() and not self._end.done():
-            with one_spin():
+            with ignoring_late_events():
                 executor.spin_until_future_complete(self._end, timeout_sec=_SPIN_S)
 
     def end(self, number: int) -> None:

@@ -160,6 +160,11 @@ class Mobility:
         rest = n - self.axes @ along
         return along, rest if np.linalg.norm(rest) > DIRECTION_ROUNDING else None
 
+    @cached_property
+    def steady(self) -> Mobility:
+        """The mobility of a robot that does not accelerate."""
+        return replace(self, acceleration=NO_ACCELERATION)
+
     @property
     def worst_mass(self) -> float:
         """Largest effective mass [kg] over all directions."""

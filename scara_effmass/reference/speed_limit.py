@@ -11,7 +11,7 @@ from functools import reduce
 from scara_effmass.iso15066.allowable_speed import ContactCase, SpeedLimit
 from scara_effmass.iso15066.drives import Line
 from scara_effmass.reference.hull import TIE
-from scara_effmass.reference.mobility import NO_ACCELERATION, Mobility
+from scara_effmass.reference.mobility import Mobility
 from scara_effmass.reference.person import MovingPerson, person_speed_limit
 
 
@@ -46,8 +46,7 @@ def speed_limit(
     With a `push`, two bounds of the force hold, so the one that allows the higher speed counts: the simulated servo, up
     to the contact force `max_force` [N], and free joints under the constant force of `push`.
     """
-    steady = [replace(mobility, acceleration=NO_ACCELERATION) for mobility in mobilities]
-    return min((_of_case(case, mobilities, steady, push, max_force, person) for case in cases), key=_speed)
+    return min((_of_case(case, mobilities, push, max_force, person) for case in cases), key=_speed)
 
 
 def _speed(found: SpeedLimit) -> float:
@@ -75,14 +74,13 @@ def _faster(first: SpeedLimit, other: SpeedLimit) -> SpeedLimit:
 def _of_case(
     case: ContactCase,
     mobilities: Sequence[Mobility],
-    steady: Sequence[Mobility],
     push: DrivePush | None,
     max_force: float,
     person: MovingPerson | None,
 ) -> SpeedLimit:
     limits = [_of_mobility(case, m, case.lines_for(m.trace), max_force, person) for m in mobilities]
     found = replace(reduce(_slower, limits), others=tuple(limits))
-    return found if push is None else max(found, _pushed(case, steady, push, person), key=_speed)
+    return found if push is None else max(found, _pushed(case, mobilities, push, person), key=_speed)
 
 
 def _of_mobility(
@@ -114,9 +112,9 @@ def _pushed(
 ) -> SpeedLimit:
     """Return the bound F = P + sqrt(P^2 + k mu u^2) of free joints and the push P; 0 from 2 P = F on.
 
-    The push contains what accelerates the robot, so the `mobilities` have no acceleration. An infinite push bounds
-    nothing: its speed is minus infinity.
+    The push contains what accelerates the robot. An infinite one bounds nothing: its speed is minus infinity.
     """
+    mobilities = [mobility.steady for mobility in mobilities]
     force = push.force(case.obstacle_mobility)
     if force == math.inf:
         return SpeedLimit(-math.inf, case.limit, 0.0, case.stiffness, force)

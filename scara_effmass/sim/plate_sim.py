@@ -149,7 +149,7 @@ class PlateSim:
         mu = servo_reduced_masses(mobilities, k, m_h, servo)[0]
         return np.asarray(normals[np.argmax((normals @ velocity) ** 2 * mu)])
 
-    def touch(  # noqa: C901, PLR0915 - one time step after the other
+    def touch(  # noqa: PLR0915 - one time step after the other
         self,
         q: FloatArray,
         qd: FloatArray,
@@ -189,10 +189,10 @@ class PlateSim:
             if math.isinf(limit.body_mass_kg):
                 stop, duration = servo.stopping_time, servo.stopping_time + 1.0 / servo.bandwidth
             model.opt.gravity[2] = GRAVITY * pace
-        fine, inertias, weakest, accelerates = PHASE_STEP / rate, np.diag(inertia), -effort, bool(qdd.any())
+        fine, inertias, weakest = PHASE_STEP / rate, np.diag(inertia), -effort
         offset = float(normal @ self._position(point))
         acceleration, half = np.zeros(self.n), velocity.copy()
-        free_torque = np.zeros(self.n) if servo or not accelerates else self._torque_of(velocity, qdd)
+        free_torque = np.zeros(self.n) if servo or not qdd.any() else self._torque_of(velocity, qdd)
         plate, plate_half, push, along = 0.0, person * pace, np.zeros(3), normal
         sliding = SLIDING * float(np.linalg.norm(jacobian @ velocity)) + TINY
         time = depth = step = 0.0
@@ -212,14 +212,11 @@ class PlateSim:
                 break
             torque[:] = free_torque
             if servo is not None:
+                gaining = min(time, stop, accelerates_for)
                 error = q + velocity * min(time, stop) - qpos
-                error_rate = velocity * (time < stop) - qvel
-                now: FloatArray | float = 0.0
-                if accelerates:
-                    gaining = min(time, stop, accelerates_for)
-                    error += qdd * gaining * (min(time, stop) - 0.5 * gaining)
-                    error_rate += qdd * gaining * (time < stop)
-                    now = qdd * (time < min(stop, accelerates_for))
+                error += qdd * gaining * (min(time, stop) - 0.5 * gaining)
+                error_rate = (velocity + qdd * gaining) * (time < stop) - qvel
+                now = qdd * (time < min(stop, accelerates_for))
                 stated = self._torque(servo, error, error_rate, now, inertias)
                 torque[:] = np.minimum(np.maximum(stated, weakest), effort)
             if depth > 0.0 or time == 0.0:
@@ -257,12 +254,7 @@ class PlateSim:
         return np.asarray(torque + self.data.qfrc_bias)
 
     def _torque(
-        self,
-        servo: ServoSettings,
-        error: FloatArray,
-        error_rate: FloatArray,
-        qdd: FloatArray | float,
-        inertias: FloatArray,
+        self, servo: ServoSettings, error: FloatArray, error_rate: FloatArray, qdd: FloatArray, inertias: FloatArray
     ) -> FloatArray:
         """Return the joint torques (n,) for errors of position and velocity (n,), and accelerations `qdd` (n,).
 

@@ -15,8 +15,8 @@ from scara_effmass.analysis.report import (
     ISO_RED,
     STYLE,
     figure_files,
+    figure_text,
     new_figure,
-    plain_text,
     render,
     report_figure,
     write_report_files,
@@ -102,7 +102,7 @@ class RobotMasses:
     ) -> Figure:
         """Return maps of the largest (`sign` -1: smallest) of the values (m,) in each cell, by label."""
         largest = {label: sign * self._cells.largest(sign * values) for label, values in panels.items()}
-        return self._cells.draw(f"{title}\n{plain_text(self.robot.name)}, seen from above", largest, iso_mass)
+        return self._cells.draw(f"{title}\n{figure_text(self.robot.name)}, seen from above", largest, iso_mass)
 
     def _density(self) -> Figure:
         """Return the probability density of the masses along x over the area of the workspace."""
@@ -110,7 +110,7 @@ class RobotMasses:
         finite = np.concatenate([mass[np.isfinite(mass)] for mass in self.masses.values()])
         edges = np.linspace(0.0, float(np.percentile(finite, MAX_SHOWN_PERCENTILE)), BINS + 1)
         with mpl.rc_context(STYLE):
-            figure = new_figure(8.5, 5.0, f"Fig. 8  Probability density, n = [1 0 0]\n{plain_text(self.robot.name)}")
+            figure = new_figure(8.5, 5.0, f"Fig. 8  Probability density, n = [1 0 0]\n{figure_text(self.robot.name)}")
             axes = figure.subplots()
             for color, (model, mass) in zip(CYCLE, self.masses.items(), strict=False):
                 known = np.isfinite(mass)
