@@ -323,6 +323,16 @@ def harness(shared_harness: NodeHarness) -> NodeHarness:
 
 
 @pytest.fixture
+def default_context(own_domain: int) -> Iterator[None]:  # noqa: ARG001
+    """Start ROS in this process, and end it however the test ends."""
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        yield
+    finally:
+        rclpy.try_shutdown()
+
+
+@pytest.fixture
 def refusal_of(
     own_domain: int,  # noqa: ARG001
     monkeypatch: pytest.MonkeyPatch,

@@ -16,7 +16,6 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
-from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 
 from scara_effmass.nodes.client import spin_for
@@ -70,9 +69,8 @@ def test_spinning_goes_on_after_an_event_of_a_destroyed_subscription() -> None:
     assert calls == [1]
 
 
-@pytest.mark.usefixtures("own_domain")
+@pytest.mark.usefixtures("default_context")
 def test_timer_whose_context_ends_meanwhile_logs_nothing(capfd: pytest.CaptureFixture[str]) -> None:
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = LifecycleBase("ending", NodeParameters)
     publisher = node.create_publisher(String, "text", 1)
     ended: list[bool] = []
@@ -94,9 +92,8 @@ def test_timer_whose_context_ends_meanwhile_logs_nothing(capfd: pytest.CaptureFi
     assert "FATAL" not in capfd.readouterr().err
 
 
-@pytest.mark.usefixtures("own_domain")
+@pytest.mark.usefixtures("default_context")
 def test_timer_that_the_executor_has_queued_does_not_call_after_clean_up() -> None:
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node, calls = LifecycleBase("cleaned", NodeParameters), list[str]()
     timer = node.create_steady_timer(60.0, lambda: calls.append("called"))
     queued = timer.callback
@@ -105,7 +102,6 @@ def test_timer_that_the_executor_has_queued_does_not_call_after_clean_up() -> No
     queued()
     assert calls == ["called"]
     node.destroy_node()
-    rclpy.shutdown()
 
 
 @pytest.mark.live
