@@ -12,7 +12,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
-from itertools import accumulate, chain, groupby, zip_longest
+from itertools import accumulate, chain, groupby, pairwise, zip_longest
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -131,14 +131,14 @@ def assess_joint_states(
     robot.
     """
     threads = min(len(os.sched_getaffinity(0)), MAX_THREADS)
-    waiting: deque[tuple[list[_Part], Future[None]]] = deque()
+    waiting: deque[Future[_Computed]] = deque()
     with ThreadPoolExecutor(threads) as pool:
         for batch in _admitted(bag, topic, monitor, time, velocities, skew or ClockSkew()):
-            waiting.append((batch, pool.submit(_compute, monitor, batch)))
+            waiting.append(pool.submit(_compute, monitor, batch))
             if len(waiting) > threads:
-                yield from _finished(monitor, *waiting.popleft())
+                yield from _finished(monitor, waiting.popleft().result())
         while waiting:
-            yield from _finished(monitor, *waiting.popleft())
+            yield from _finished(monitor, waiting.popleft().result())
 
 
 def assessed_rows(
@@ -157,21 +157,36 @@ class _Part(NamedTuple):
     row: int
 
 
-def _compute(monitor: Monitor, batch: Sequence[_Part]) -> None:
-    for part in batch:
+class _Computed(NamedTuple):
+    """A batch whose contacts are computed: part number i has `numbers` from row `firsts[i]` on."""
+
+    parts: list[_Part]
+    firsts: list[int]
+    numbers: FloatArray
+
+
+def _compute(monitor: Monitor, batch: Sequence[_Part]) -> _Computed:
+    firsts = list(accumulate((len(part.log_time_ns) for part in batch), initial=0))
+    numbers = np.empty((firsts[-1], *batch[0].pending.numbers.shape[1:]))
+    parts = [
+        part._replace(pending=part.pending._replace(numbers=numbers[first:stop]))
+        for part, (first, stop) in zip(batch, pairwise(firsts), strict=True)
+    ]
+    for part in parts:
         monitor.compute(part.pending)
+    return _Computed(parts, firsts, numbers)
 
 
-def _finished(monitor: Monitor, batch: Sequence[_Part], computed: Future[None]) -> Iterator[AssessedStates]:
+def _finished(monitor: Monitor, batch: _Computed) -> Iterator[AssessedStates]:
     """Yield the assessments of a batch; a payload that changes their texts cuts them."""
-    computed.result()
-    for _, group in groupby(batch, lambda part: part.pending.texts):
-        parts = list(group)
-        firsts = accumulate((len(part.log_time_ns) for part in parts), initial=0)
-        sources = [Source(first, part.block, part.row) for first, part in zip(firsts, parts, strict=False)]
-        settled = joined([monitor.settle(part.pending) for part in parts])
-        times = np.concatenate([part.log_time_ns for part in parts])
-        yield AssessedStates(times, settled, sources, monitor.names_of)
+    for _, group in groupby(zip(batch.parts, batch.firsts, strict=False), lambda entry: entry[0].pending.texts):
+        entries = list(group)
+        first = entries[0][1]
+        sources = [Source(row - first, part.block, part.row) for part, row in entries]
+        times = np.concatenate([part.log_time_ns for part, _ in entries])
+        settled = [monitor.settle(part.pending) for part, _ in entries]
+        assessments = joined(settled, batch.numbers[first : first + len(times)])
+        yield AssessedStates(times, assessments, sources, monitor.names_of)
 
 
 def _admitted(

@@ -4,25 +4,26 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from scara_effmass.iso15066.contact import TIME_FACTOR, TRANSIENT_S
 from scara_effmass.kernel.jit import inlined
-from scara_effmass.kernel.mobility import adjugate, along, determinant, inverse, shifted, smallest_eigenvalue, trace
+from scara_effmass.kernel.mobility import adjugate, along, determinant, inverse, shifted, trace
 from scara_effmass.kernel.records import Mobility
 from scara_effmass.kernel.spatial import (
     Matrix,
     dot,
-    norm,
     rotate,
     scale,
     scale_symmetric,
     set_matrix,
+    sub,
     symmetric_product,
     vector,
     vector_at,
 )
 from scara_effmass.reference.mobility import CLAMPED_TOLERANCE
-from scara_effmass.values import FloatArray, Mobility6, Vector3
+from scara_effmass.values import ZERO_VECTOR, FloatArray, Mobility6, Vector3
 
 
 @inlined
@@ -115,25 +116,75 @@ def growth(change: Mobility, k: Mobility6, beta: float) -> float:
     return rate
 
 
+class Masses(NamedTuple):
+    """(s + A)^-1 n for s = least + t, t >= 0, is (forth + t also + t^2 last) / (c0 + c1 t + c2 t^2 + c3 t^3).
+
+    The coefficients of n times the numerator and those of the denominator are not negative.
+    """
+
+    forth: Vector3
+    also: Vector3
+    last: Vector3
+    denominator: tuple[float, float, float, float]
+
+
 @inlined
-def max_growth(change: Mobility, x: Vector3) -> float:
-    """Return a bound [1/s] of `growth` for every alpha / beta of at least that of `x`, its mass matrix times n."""
-    total = dot(vector(change.direction), x)
-    if not 0.0 < total < math.inf:
-        return math.inf
-    p = change.powers
-    symmetric = (
-        p[0, 0],
-        0.5 * (p[0, 1] + p[1, 0]),
-        0.5 * (p[0, 2] + p[2, 0]),
-        p[1, 1],
-        0.5 * (p[1, 2] + p[2, 1]),
-        p[2, 2],
+def masses_from(change: Mobility, least: float) -> Masses:
+    """Return the masses along n for every alpha / beta of at least `least`."""
+    n, m = vector(change.direction), matrix_of(change)
+    s = max(least, CLAMPED_TOLERANCE * trace(m))
+    if change.change_rank == 1:
+        return Masses(n, ZERO_VECTOR, ZERO_VECTOR, (s + trace(m), 1.0, 0.0, 0.0))
+    if change.change_rank == 2:
+        of_plane = m[3] + m[5] + s, -m[1], -m[2], m[0] + m[5] + s, -m[4], m[0] + m[3] + s
+        minors = trace(adjugate(m)) + s * (s + trace(m))
+        return Masses(symmetric_product(of_plane, n), n, ZERO_VECTOR, (minors, s + s + trace(m), 1.0, 0.0))
+    m = shifted(m, s)
+    of_m = adjugate(m)
+    also = sub(scale(trace(m), n), symmetric_product(m, n))
+    return Masses(symmetric_product(of_m, n), also, n, (determinant(m, of_m), trace(of_m), trace(m), 1.0))
+
+
+@inlined
+def at_most(part: float, whole: float) -> float:
+    """Return part / whole, 0 for a negative part and infinite for a whole of 0."""
+    if not part > 0.0:
+        return 0.0
+    return part / whole if whole > 0.0 else math.inf
+
+
+@inlined
+def largest_share(change: Mobility, a: Vector3, masses: Masses) -> float:
+    """Return a bound of x^T a / x^T n for the masses x n: the largest share of a coefficient."""
+    n, largest = vector(change.direction), 0.0
+    for x in (masses.forth, masses.also, masses.last):
+        part = dot(x, a)
+        largest = max(largest, at_most(abs(part) if change.either_way else part, dot(x, n)))
+    return largest
+
+
+@inlined
+def max_growth(change: Mobility, least: float) -> float:
+    """Return a bound [1/s] of `growth` for every alpha / beta of at least `least` [1/kg].
+
+    Quotients of polynomials whose denominator has no negative coefficient are at most that of one coefficient.
+    """
+    n, masses = vector(change.direction), masses_from(change, least)
+    x, y, z, (c0, c1, c2, c3) = masses
+    powers = vector_at(change.powers, 0), vector_at(change.powers, 1), vector_at(change.powers, 2)
+    of_x, of_y, of_z = rotate(powers, x), rotate(powers, y), rotate(powers, z)
+    d0, d1, d2 = dot(n, x), dot(n, y), dot(n, z)
+    loss = max(
+        at_most(-dot(x, of_x), c0 * d0),
+        at_most(-dot(x, of_y) - dot(y, of_x), c0 * d1 + c1 * d0),
+        at_most(-dot(x, of_z) - dot(y, of_y) - dot(z, of_x), c0 * d2 + c1 * d1 + c2 * d0),
+        at_most(-dot(y, of_z) - dot(z, of_y), c1 * d2 + c2 * d1 + c3 * d0),
+        at_most(-dot(z, of_z), c2 * d2 + c3 * d1),
     )
-    loss = max(0.0, -smallest_eigenvalue(symmetric, 3))
-    acceleration = max(norm(vector(change.free)), norm(vector(change.held)))
-    share = norm(x) / total
-    bound: float = 2.0 * (share * acceleration / change.speed + total * share * share * loss)
+    faster = max(
+        largest_share(change, vector(change.free), masses), largest_share(change, vector(change.held), masses)
+    )
+    bound: float = 2.0 * (faster / change.speed + loss)
     return bound
 
 

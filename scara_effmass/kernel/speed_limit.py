@@ -203,10 +203,10 @@ def free_bound(case: Case, m: Mobility, mass_factor: float, rate: float, least: 
 def least_mobility(case: Case, m: Mobility, on_robot: float) -> float:
     """Return 1 / mu [1/kg] of `case` or less, by the least mobility `on_robot`."""
     least: float = case.lines[0, 0] + case.lines[0, 1] * on_robot
-    if m.hull == HULL_NONE:
-        return least  # every line is a bound
     for i in range(1, case.line_count):
-        least = min(least, case.lines[i, 0] + case.lines[i, 1] * on_robot)
+        of_line = case.lines[i, 0] + case.lines[i, 1] * on_robot
+        # Every line is a bound; on a link, the one that is taken may be any.
+        least = max(least, of_line) if m.hull == HULL_NONE else min(least, of_line)
     return least / m.speed_ratio
 
 
@@ -305,7 +305,7 @@ def fill_bounds(mobilities: Sequence[Mobility], setup: Setup, work: Work) -> Non
             mobility = m.square * m.speed_ratio / m.energy_of_arm
         work.least_mobilities[k] = mobility / factor
         x = symmetric_product(mass_matrix(m, alpha, 1.0), vector(m.direction)) if m.change_rank > 0 else ZERO_VECTOR
-        work.growths[k] = 0.5 * max_growth(m, x) / m.speed if m.change_rank > 0 else 0.0
+        work.growths[k] = 0.5 * max_growth(m, alpha) / m.speed if m.change_rank > 0 else 0.0
         # Outside the range of the simulated contacts no case is skipped.
         work.accelerations[k] = max_rate(m, x, alpha) if m.matrix_trace <= MAX_MOBILITY * factor else math.inf
 

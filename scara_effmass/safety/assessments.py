@@ -150,12 +150,16 @@ def contact_of(
     return ContactAssessment(**fields)
 
 
-def joined(parts: Sequence[Assessments]) -> Assessments:
-    """Return the assessments of joint states that follow each other, whose codes have the same texts."""
+def joined(parts: Sequence[Assessments], numbers: FloatArray | None = None) -> Assessments:
+    """Return the assessments of joint states that follow each other, whose codes have the same texts.
+
+    `numbers` are those of all parts, where they lie together already: to copy them takes as long as to admit.
+    """
     if len(parts) == 1:
         return parts[0]
-    states = np.concatenate([part.state_bytes for part in parts])
-    return replace(parts[-1], state_bytes=states, numbers=np.concatenate([part.numbers for part in parts]))
+    if numbers is None:
+        numbers = np.concatenate([part.numbers for part in parts])
+    return replace(parts[-1], state_bytes=np.concatenate([part.state_bytes for part in parts]), numbers=numbers)
 
 
 def unknown_numbers(iso_mass: float = 0.0) -> FloatArray:
