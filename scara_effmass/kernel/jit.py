@@ -25,8 +25,9 @@ if os.environ.get("NUMBA_DISABLE_JIT", "0") == "0":
         numba = import_module("numba")
     except Exception as error:  # noqa: BLE001 - a damaged installation may raise anything
         WHY_NOT = f"numba cannot be imported: {error}"
-# IEEE arithmetic, because fast-math breaks checks of NaN. No function makes an array, so none has to count references.
-OPTIONS = {"nogil": True, "error_model": "numpy", "_nrt": False}
+# IEEE arithmetic, because fast-math breaks checks of NaN; only a product that is added need not be rounded before. No
+# function makes an array, so none has to count references.
+OPTIONS = {"nogil": True, "error_model": "numpy", "_nrt": False, "fastmath": {"contract"}}
 
 
 def _source_hash() -> str:
