@@ -7,12 +7,12 @@ what it carries beyond the stated load. `regression` estimates the ten differenc
 
 from __future__ import annotations
 
+import math
+from statistics import NormalDist  # importing scipy would make the start of the monitor a fifth longer
 from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from scipy.linalg import block_diag
-from scipy.special import ndtr, ndtri
 
 from scara_effmass.identification.regression import (
     LEVER,
@@ -63,11 +63,13 @@ class PayloadEstimate(NamedTuple):
     @property
     def interval(self) -> tuple[float, float]:
         """Shortest interval of 95 % of the mass [kg], which is not negative: of the normal distribution above 0."""
-        positive = ndtr(self.mass / self.deviation)
-        half = self.deviation * float(ndtri(0.5 + 0.475 * positive))
+        normal = NormalDist()
+        positive = normal.cdf(self.mass / self.deviation)
+        half = self.deviation * normal.inv_cdf(0.5 + 0.475 * positive)
         if self.mass >= half:
             return self.mass - half, self.mass + half
-        return 0.0, self.mass - self.deviation * float(ndtri(0.05 * positive))
+        # Far below 0, no probability is left to tell the quantile from.
+        return 0.0, self.mass - self.deviation * normal.inv_cdf(0.05 * positive) if positive > 0.0 else math.inf
 
 
 class PayloadEstimator:
@@ -93,7 +95,8 @@ class PayloadEstimator:
         self._prior = np.array([mass] + 3 * [mass * lever] + 6 * [mass * lever * lever])
         load = np.zeros((10 * robot.model.nv, 10))
         load[-10:] = np.diag(self._prior)
-        links = block_diag(*(link_uncertainty * link[:, None] for link in link_parameters(robot.model)))
+        links = link_uncertainty * link_parameters(robot.model)
+        links = (links[:, :, None] * np.eye(len(links))[:, None]).reshape(-1, len(links))
         units = np.hstack((load, links)) if link_uncertainty else load
         self._regression = TorqueRegression(robot, units, effort_uncertainty, blocks=BLOCKS)
 

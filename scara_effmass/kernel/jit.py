@@ -96,6 +96,11 @@ def _kernel_cache(function: Function, folder: Path) -> Any:  # noqa: ANN401 - a 
     class Cache(caching.FunctionCache):  # type: ignore[misc,name-defined]
         _impl_class = Contents
 
+        def load_overload(self, signature: object, context: object) -> Any:  # noqa: ANN401
+            # numba's own prepares to compile first: 50 MB and 0.3 s that nothing compiled needs.
+            with self._guard_against_spurious_io_errors():
+                return self._load_overload(signature, context)
+
         def save_overload(self, *arguments: object) -> None:
             with suppress(OSError):  # a full disk costs the time to compile again, and not the call that compiled
                 super().save_overload(*arguments)
