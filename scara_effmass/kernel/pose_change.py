@@ -181,9 +181,7 @@ def max_growth(change: Mobility, least: float) -> float:
         at_most(-dot(y, of_z) - dot(z, of_y), c1 * d2 + c2 * d1 + c3 * d0),
         at_most(-dot(z, of_z), c2 * d2 + c3 * d1),
     )
-    faster = max(
-        largest_share(change, vector(change.free), masses), largest_share(change, vector(change.held), masses)
-    )
+    faster = max(largest_share(change, vector(change.free), masses), largest_share(change, vector(change.held), masses))
     bound: float = 2.0 * (faster / change.speed + loss)
     return bound
 

@@ -200,22 +200,13 @@ def free_bound(case: Case, m: Mobility, mass_factor: float, rate: float, least: 
 
 
 @inlined
-def least_mobility(case: Case, m: Mobility, on_robot: float) -> float:
-    """Return 1 / mu [1/kg] of `case` or less, by the least mobility `on_robot`."""
-    least: float = case.lines[0, 0] + case.lines[0, 1] * on_robot
-    for i in range(1, case.line_count):
-        of_line = case.lines[i, 0] + case.lines[i, 1] * on_robot
-        # Every line is a bound; on a link, the one that is taken may be any.
-        least = max(least, of_line) if m.hull == HULL_NONE else min(least, of_line)
-    return least / m.speed_ratio
+def is_no_slower(case: Case, k: int, mobility: float, rate: float, least: float, work: Work) -> bool:
+    """Return whether `case` with 1 / mu of at least `mobility` [1/kg] allows the speed `least` [m/s] anyway.
 
-
-@inlined
-def is_no_slower(case: Case, m: Mobility, k: int, rate: float, least: float, work: Work) -> bool:
-    """Return whether `case` allows the speed `least` [m/s] anyway, by what bounds every case with mobility `k`."""
+    By what bounds every case with mobility `k`.
+    """
     if not 0.0 < least < math.inf:  # of several cases that allow none, the first counts
         return False
-    mobility = least_mobility(case, m, work.least_mobilities[k])
     time = case.drive_time if case.drive_time > 0.0 else contact_time(inverse(mobility), case.stiffness)
     speed = least * (1.0 + work.growths[k] * time * least) + work.accelerations[k] * time
     allows: bool = rate * speed * speed <= mobility  # `speed` may be NaN
@@ -223,11 +214,19 @@ def is_no_slower(case: Case, m: Mobility, k: int, rate: float, least: float, wor
 
 
 @inlined
-def case_bound(case: Case, m: Mobility, mass_factor: float, rate: float, least: float) -> Bound:
+def case_bound(case: Case, m: Mobility, k: int, mass_factor: float, rate: float, least: float, work: Work) -> Bound:
     """Return the bound of the drives of the settings, of simulated contacts within the range of their simulation.
 
-    Of a link, it bounds nothing if it allows the speed `least` [m/s] anyway.
+    It bounds nothing where it is found early to allow the speed `least` [m/s] anyway.
     """
+    on_robot = work.least_mobilities[k]
+    mobility = case.lines[0, 0] + case.lines[0, 1] * on_robot
+    for i in range(1, case.line_count):
+        of_line = case.lines[i, 0] + case.lines[i, 1] * on_robot
+        # Every line is a bound; on a link, the one that is taken below may be any.
+        mobility = max(mobility, of_line) if m.hull == HULL_NONE else min(mobility, of_line)
+    if is_no_slower(case, k, mobility / m.speed_ratio, rate, least, work):
+        return NO_BOUND
     if case.line_count > 1 and not m.matrix_trace <= MAX_MOBILITY * mass_factor:
         return immovable_bound(case, m, mass_factor, rate, least)
     mu, alpha, beta = math.inf, 0.0, 0.0
@@ -236,6 +235,8 @@ def case_bound(case: Case, m: Mobility, mass_factor: float, rate: float, least: 
         line_mu = mass_factor * point_reduced_mass(m, mass_factor * line_alpha, line_beta)
         if line_mu < mu:
             mu, alpha, beta = line_mu, line_alpha, line_beta
+    if m.hull != HULL_NONE and is_no_slower(case, k, (alpha + beta * on_robot) / m.speed_ratio, rate, least, work):
+        return NO_BOUND
     return bound_of(case, m, mass_factor, mu, (alpha, beta), rate, True, least)  # noqa: FBT003 - compiled
 
 
@@ -376,9 +377,8 @@ def governing_case(
         rate = holding_rate(case, drives)
         for k in range(len(mobilities)):
             least = min(governing.bound.speed, tried.bound.speed)
-            if not is_no_slower(case, mobilities[k], k, rate, least, work):
-                bound = case_bound(case, mobilities[k], setup.mass_factor, rate, least)
-                tried = with_mobility(tried, k, bound, case, hit, setup)
+            bound = case_bound(case, mobilities[k], k, setup.mass_factor, rate, least, work)
+            tried = with_mobility(tried, k, bound, case, hit, setup)
         if drives.has_push and tried.bound.speed <= governing.bound.speed:
             bound = push_bound(case, mobilities, drives, setup, tried.bound.speed, governing.bound.speed)
             if tried.bound.speed < bound.speed:
@@ -565,6 +565,4 @@ def bound_within(
         return person_case_bound(case, p, m, setup, holding_rate(case, drives), person, math.inf)
     if push > 0.0:
         return free_bound(case, m, setup.mass_factor, rate, speed)
-    if is_no_slower(case, m, k, rate, speed, work):
-        return NO_BOUND
-    return case_bound(case, m, setup.mass_factor, rate, speed)
+    return case_bound(case, m, k, setup.mass_factor, rate, speed, work)
