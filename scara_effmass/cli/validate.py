@@ -88,10 +88,7 @@ def validation_settings(args: argparse.Namespace) -> ValidationSettings:
     names = ("stiffness_n_m", "obstacle_mass", "obstacle_fixed", "plate_normal", "effective_mass_model")
     options = selected(args, "limits") | {name: getattr(args, name) for name in names}
     return ValidationSettings(
-        monitor=override(
-            load_settings(MonitorSettings, args.params, "monitor", SECTIONS),
-            selected(args, "robot", "model", "joints", "payload"),
-        ),
+        monitor=override(load_settings(MonitorSettings, args.params, "monitor", SECTIONS), selected(args, "arm")),
         validator=override(load_settings(ValidatorSettings, args.params, "validator", SECTIONS), options),
         detection=load_settings(DaqSettings, args.params, "daq", SECTIONS).detection,
         obstacle_mass=args.obstacle_mass,

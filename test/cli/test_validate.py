@@ -117,14 +117,16 @@ def test_plate_normal_and_fixed_obstacle_apply(cli: Cli, campaign: Path, tmp_pat
     assert f"no effect       obstacle_mass = 3.0 {reason}\n" in done.stdout
 
 
-def test_payload_and_points_reach_the_monitor_and_the_limits_the_validator(cli: Cli, campaign: Path) -> None:
+def test_payload_rotors_and_points_reach_the_monitor_and_the_limits_the_validator(cli: Cli, campaign: Path) -> None:
     points = ("--contact-point", "flange=link4: 0 0 0")
     load = ("--payload", "2", "--payload-com", "0", "0", "0.1", "--payload-inertia", *("0.1",) * 3, *("0",) * 3)
-    done = cli("validate", campaign, "-o", "report", *points, *load, "--contact-area-m2", "3e-4", "--json")
+    options = (*points, *load, "--armature", "joint2=0.1", "--contact-area-m2", "3e-4")
+    done = cli("validate", campaign, "-o", "report", *options, "--json")
     report = json.loads(done.stdout)
     monitor, validator = report["settings"]["monitor"], report["settings"]["validator"]
     assert (monitor["payload_mass"], monitor["payload_com"]) == (2.0, [0.0, 0.0, 0.1])
     assert monitor["payload_inertia"] == [0.1, 0.1, 0.1, 0.0, 0.0, 0.0]
+    assert monitor["armature"] == ["joint2=0.1"]
     assert {impact["contact_point"] for impact in report["impacts"]} == {"flange"}
     assert (monitor["contact_area_m2"], validator["contact_area_m2"]) == (1e-4, 3e-4)
 
