@@ -20,7 +20,7 @@ from scara_effmass.analysis.summary import Summary
 from scara_effmass.bags.files import open_bag
 from scara_effmass.cli.console import print_lines, print_table, progress_bar
 from scara_effmass.cli.doctor import cell_results, tightest
-from scara_effmass.cli.options import Option, monitor_settings, options_of, robot_line, shell_path
+from scara_effmass.cli.options import SHOWN, Option, monitor_settings, options_of, robot_line, shell_path
 from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.iso15066 import BODY_REGIONS
 from scara_effmass.model.urdf import CHAIN_NOTES
@@ -39,9 +39,6 @@ UNASKED |= {"contact_damping", "contact_friction"}
 UNASKED |= {"locked_joints", "ignored_joints", "moving_mass", "contact_links", "package_dirs"}
 UNASKED |= {"contact_areas", "payload_shape", "torque_constants"}
 """Options that few cells need."""
-SHOWN = ["robot", "joint_map", "joint_names", "contact_points", "payload_mass", "payload_com", "payload_inertia"]
-SHOWN += ["payload_shape", "tool_links", "armature", "locked_joints", "contact_links", "package_dirs"]
-"""Parameters of the monitor that change the markers."""
 
 
 def run(args: argparse.Namespace) -> int:

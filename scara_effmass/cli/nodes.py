@@ -36,7 +36,7 @@ def node_arguments(params: Path | None, parameters: Mapping[str, Any], ros_argum
     if params:
         arguments += ["--params-file", str(params)]
     for name, value in parameters.items():
-        if value is not None and value != "":
+        if value not in (None, "", []):  # ROS has no type for an empty list
             # ROS parses the value as YAML: unquoted, some file names would become numbers.
             arguments += ["-p", f"{name}:={json.dumps(value)}"]
     return [*arguments, "--", *ros_arguments]

@@ -157,6 +157,9 @@ def options_of(*items: str | Mapping[str, Mapping[str, Any]]) -> Iterator[Option
             yield from (Option(names, keywords) for names, keywords in item.items())
 
 
+SHOWN = ["robot", "joint_map", "joint_names", "contact_points", "payload_mass", "payload_com", "payload_inertia"]
+SHOWN += ["payload_shape", "tool_links", "armature", "locked_joints", "contact_links", "package_dirs"]
+"""Parameters of the monitor that change the markers of the robot."""
 OUTPUTS = {"output", "out", "report", "hulls"}
 """Paths that a command writes."""
 

@@ -19,7 +19,7 @@ from typing import IO, Any
 
 from scara_effmass.cli.displays import has_display
 from scara_effmass.cli.nodes import node_arguments
-from scara_effmass.cli.options import selected
+from scara_effmass.cli.options import SHOWN, selected
 from scara_effmass.errors import EffmassError
 from scara_effmass.extras import pip_line
 from scara_effmass.nodes.cell_client import CellClient
@@ -28,8 +28,6 @@ from scara_effmass.settings import MonitorSettings
 RECORDING = "recording"
 """Folder of the recording below the output folder of a demo."""
 SIM_TIME = ["--ros-args", "-p", "use_sim_time:=true"]
-SHAPE = ("contact_points", "contact_links", "package_dirs", "joint_map", "joint_names")
-"""Parameters of the monitor that change what a viewer shows of the robot."""
 START_TIMEOUT_S = 60.0
 STOP_TIMEOUT_S = 30.0
 DOMAINS = 101
@@ -131,11 +129,11 @@ def commands(args: argparse.Namespace, settings: MonitorSettings) -> list[list[s
     """Return the commands of every demo: the recorder, the monitor, and the markers of the robot for viewers."""
     params = ["--params", str(args.params)] if args.params else []
     chosen = {"robot": str(settings.robot_path), "effective_mass_model": settings.effective_mass_model.value}
-    names = {key: list(getattr(settings, key)) or None for key in SHAPE}
+    shown = settings.model_dump(mode="json", include={*SHOWN}, exclude_unset=True)
     return [
         ["record", "-o", str(args.out / RECORDING), "--json", *(["--force"] * args.force), *SIM_TIME],
         ["monitor", *params, *node_arguments(None, selected(args, "cell") | chosen, SIM_TIME)],
-        ["visualization", *node_arguments(None, {"robot": str(settings.robot_path), **names}, SIM_TIME)],
+        ["visualization", *node_arguments(None, shown | {"robot": str(settings.robot_path)}, SIM_TIME)],
     ]
 
 

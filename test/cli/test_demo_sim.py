@@ -7,7 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from scara_effmass.cli.processes import dashboard_command
+from scara_effmass.cli import make_parser
+from scara_effmass.cli.options import monitor_settings
+from scara_effmass.cli.processes import commands, dashboard_command
 from test.cli.conftest import Cli
 
 
@@ -50,3 +52,13 @@ def test_every_live_impact_is_in_the_recording(cli_process: Cli, tmp_path: Path,
     files = {path.name for path in (tmp_path / "out").iterdir()}
     assert (tmp_path / "opened").read_text(encoding="utf-8").startswith("http://127.0.0.1:")
     assert {"recording", "report.html", "report.json"} <= files
+
+
+def test_the_markers_show_the_robot_of_the_monitor() -> None:
+    options = ("--payload", "2.5", "--locked-joints", "joint4", "--contact-point", "elbow", "--person-speed", "1.6")
+    args = make_parser().parse_args(["demo", *options], Namespace(ros_arguments=[]))
+    _, monitor, visualization = commands(args, monitor_settings(args))
+    shown = ("payload_mass:=2.5", 'locked_joints:=["joint4"]', 'contact_points:=["elbow"]')
+    assert {*shown} < {*monitor}
+    assert {*shown} < {*visualization}
+    assert "person_speed:=1.6" not in visualization
