@@ -20,6 +20,7 @@ from scara_effmass.bags.repair import RepairReport, repair
 from scara_effmass.cli.console import print_result, progress_bar
 from scara_effmass.errors import SettingsError
 from scara_effmass.importers.force import ImportedTopic, write_force_bag
+from scara_effmass.importers.force_file import refuse_settings
 from scara_effmass.importers.joint_states import write_joint_state_bag
 from scara_effmass.settings import ImportSettings, checked
 from scara_effmass.settings.loading import flat_fields
@@ -174,23 +175,25 @@ def _replay_lines(report: ReplayReport) -> Iterator[tuple[str, str]]:
 
 
 def _import(args: argparse.Namespace) -> int:
-    if args.joints:
-        return _import_joint_states(args)
     names = flat_fields(ImportSettings)
     stated = {name: value for name, value in vars(args).items() if name in names and value is not None}
     settings = checked(ImportSettings, stated, "options")
+    if args.joints:
+        of_force = [name for name in names if name not in {"rate", "header"}]
+        refuse_settings(settings, of_force, f"--joints = {args.joints}", "the mapping names columns and units")
+        return _import_joint_states(args, settings)
     topics = write_force_bag(args.files, args.output, settings, overwrite=args.force)
     result = {"output": str(args.output), "topics": [asdict(topic) for topic in topics]}
     print_result(result, _import_lines(topics, args.output), as_json=args.json)
     return 0
 
 
-def _import_joint_states(args: argparse.Namespace) -> int:
+def _import_joint_states(args: argparse.Namespace, settings: ImportSettings) -> int:
     if len(args.files) > 1:
         raise SettingsError(f"--joints = {args.joints}: must belong to one file, not to {len(args.files)}")
     (path,) = args.files
     imported = write_joint_state_bag(
-        path, args.joints, args.output, rate=args.rate or 0.0, header=args.header is not False, overwrite=args.force
+        path, args.joints, args.output, rate=settings.rate, header=settings.header, overwrite=args.force
     )
     span = f"{imported.first_stamp_s:.3f} to {imported.last_stamp_s:.3f} s"
     velocity = "with velocities" if imported.has_velocity else "without velocities (assess --velocity from-positions)"

@@ -99,3 +99,5 @@ def test_joint_states_of_a_csv_file_are_assessed(tmp_path: Path, cli: Cli, refus
     assert json.loads(cli(*words, "--force", "--json").stdout)["joint_states"] == 200
     assert "exists" in refused(*words)
     assert "must belong to one file" in refused("import", log, log, *words[2:], "--force")
+    for option, setting in (("--time-column", "time_column = q1"), ("--topic", "topic = q1")):
+        assert f"--joints = {mapping}: {setting}: must not be stated" in refused(*words, option, "q1", "--force")
