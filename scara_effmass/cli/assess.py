@@ -82,11 +82,7 @@ def assess(
     summary = Summary(round(settings.timeout * 1e9))
     counts = dict.fromkeys(("joint_states", "foreign", "refused"), 0)
     losses, unreadable, unmodelled = list[str](), list[str](), list[str]()
-    if args.velocity_bag and len(paths) > 1:
-        raise SettingsError(f"--velocity-bag = {args.velocity_bag}: must belong to one recording, not to {len(paths)}")
     input_notes = [*copies, *input_lines(settings, task.time, args.velocity_bag)]
-    if not args.output.suffix and (args.report or args.properties):
-        raise SettingsError(f"--report, --properties: must be left out for a dataset, {args.output}")
     report = _open_report(args, settings, len(paths) * len(dynamics.contact_points)) if args.report else None
     with ExitStack() as stack:
         origin = provenance(settings, robot.origin, paths) | {"input": json.dumps(input_notes)}
@@ -133,8 +129,19 @@ def assess(
 
 
 def _recordings(args: argparse.Namespace) -> tuple[list[Path], list[tuple[str, str]]]:
-    """Return the recordings, for a dataset without copies, and a line about each copy. Raises BagError."""
+    """Return the recordings, for a dataset without copies, and a line about each copy.
+
+    Raises BagError, and SettingsError for options that do not go together.
+    """
+    if not args.output.suffix and (args.report or args.properties):
+        raise SettingsError(f"--report, --properties: must be left out for a dataset, {args.output}")
+    if args.output.suffix and args.cell:
+        raise SettingsError(f"--cell = {args.cell}: must be for a dataset, not for {args.output}")
+    if args.pdf and not args.report:
+        raise SettingsError("--pdf: must come with --report")
     paths = [path for folder in args.bags for path in find_bags(folder)]
+    if args.velocity_bag and len(paths) > 1:
+        raise SettingsError(f"--velocity-bag = {args.velocity_bag}: must belong to one recording, not to {len(paths)}")
     return (paths, []) if args.output.suffix else without_copies(paths, args.cell)
 
 

@@ -479,6 +479,12 @@ def test_report_shows_every_contact_point_and_episode(swing_bag: Path, cli: Cli,
     assert not (tmp_path / "a.csv").exists()
 
 
+def test_options_without_effect_are_refused(swing_bag: Path, refused: Refused, tmp_path: Path) -> None:
+    words, table = ("assess", swing_bag, "-o"), tmp_path / "a.csv"
+    assert refused(*words, table, "--cell", "A7") == f"--cell = A7: must be for a dataset, not for {table}"
+    assert refused(*words, table, "--pdf") == "--pdf: must come with --report"
+
+
 def test_several_topics_need_the_topic_option(swing_bag: Path, cli: Cli, refused: Refused, tmp_path: Path) -> None:
     with open_bag(swing_bag) as bag, BagWriter(tmp_path / "two.mcap") as two:
         for message in bag.messages(["/joint_states"]):
