@@ -19,7 +19,7 @@ from typing import IO, Any
 
 from scara_effmass.cli.displays import has_display
 from scara_effmass.cli.nodes import node_arguments
-from scara_effmass.cli.options import SHOWN, selected
+from scara_effmass.cli.options import SHOWN, options_of, selected
 from scara_effmass.errors import EffmassError
 from scara_effmass.extras import pip_line
 from scara_effmass.nodes.cell_client import CellClient
@@ -154,6 +154,8 @@ def dashboard_command(args: argparse.Namespace) -> tuple[list[str], str]:
     with socket.create_server(("127.0.0.1", 0)) as probe:
         port = probe.getsockname()[1]
     params = ["--params", str(args.params)] if args.params else []
+    options = ((option.names[0], getattr(args, option.dest) or ()) for option in options_of("contact_point"))
+    params += [f"{name}={value}" for name, values in options for value in values]
     return ["dashboard", "--open", "--port", str(port), *params], f"http://127.0.0.1:{port}/ until the demo ends"
 
 

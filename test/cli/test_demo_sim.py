@@ -14,16 +14,15 @@ from test.cli.conftest import Cli
 
 
 def test_dashboard_starts_where_somebody_sees_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    args = Namespace(params=None)
+    args = make_parser().parse_args(["demo", "--contact-point", "elbow", "--contact-point", "tip=link4: 0 0 0"])
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     assert dashboard_command(args) == ([], "not started: there is no display and no terminal")
     monkeypatch.setenv("WAYLAND_DISPLAY", "wayland-0")
     command, text = dashboard_command(args)
-    assert (command[:3], text) == (
-        ["dashboard", "--open", "--port"],
-        f"http://127.0.0.1:{command[3]}/ until the demo ends",
-    )
+    assert command[:3] == ["dashboard", "--open", "--port"]
+    assert text == f"http://127.0.0.1:{command[3]}/ until the demo ends"
+    assert command[4:] == ["--contact-point=elbow", "--contact-point=tip=link4: 0 0 0"]
     monkeypatch.setattr("scara_effmass.cli.processes.find_spec", lambda _: None)
     assert dashboard_command(args) == ([], "needs NiceGUI: pip install 'scara_effmass[dashboard]'")
 
