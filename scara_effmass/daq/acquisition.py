@@ -176,8 +176,9 @@ class Acquisition:
 
         self._lock = threading.Lock()
         """Guards all attributes below."""
-        self._state, self._reason = AcquisitionState.IDLE, ""
-        self._failure: Exception | None = None
+        self.state, self._reason = AcquisitionState.IDLE, ""
+        self.failure: Exception | None = None
+        """Error that ended the acquisition."""
         self._samples_read = self._samples_lost = 0
         self._latency = ReadLatency(0.0)
         """That of this run; without reads for a recording, and before `start`."""
@@ -197,7 +198,7 @@ class Acquisition:
         self._first_setup = (self.source.channels, self.source.sample_rate)
         self._latency = ReadLatency(self.source.sample_rate)
         self._due_ns = self._steady_ns()
-        self._state = AcquisitionState.RUNNING
+        self.state = AcquisitionState.RUNNING
         self._thread = threading.Thread(target=self._acquire, name="acquisition", daemon=True)
         self._thread.start()
 
@@ -206,26 +207,16 @@ class Acquisition:
         return self._queue.take()
 
     @property
-    def state(self) -> AcquisitionState:
-        """Current acquisition state."""
-        return self._state
-
-    @property
-    def failure(self) -> Exception | None:
-        """Error that ended the acquisition, or None."""
-        return self._failure
-
-    @property
     def ended(self) -> bool:
         """Whether the source has ended and all of its readings were taken."""
-        return self._state is AcquisitionState.ENDED and not self._queue.samples
+        return self.state is AcquisitionState.ENDED and not self._queue.samples
 
     def statistics(self) -> AcquisitionStatistics:
         """Return the state and the counts."""
         with self._lock:
             p50_s, max_s = self._latency.latencies()
             return AcquisitionStatistics(
-                state=self._state,
+                state=self.state,
                 reason=self._reason,
                 samples_read=self._samples_read,
                 samples_dropped=self._queue.dropped_samples,
@@ -254,7 +245,7 @@ class Acquisition:
             state = AcquisitionState.STOPPED
             # A driver may raise when `stop` closes the source during a read.
             if not (isinstance(error, DaqError) and self._stopping.is_set()):
-                self._failure = error
+                self.failure = error
                 state, reason = AcquisitionState.FAILED, str(error) or type(error).__name__
         self.source.close()
         self._set_state(state, reason)
@@ -324,5 +315,5 @@ class Acquisition:
 
     def _set_state(self, state: AcquisitionState, reason: str = "") -> None:
         with self._lock:
-            self._state, self._reason = state, reason
+            self.state, self._reason = state, reason
         self._notify()
