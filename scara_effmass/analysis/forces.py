@@ -69,11 +69,9 @@ def read_force(bag: Bag) -> RecordedForce | None:
     blocks = list(bag.force_blocks(topic)) if topic else []
     if not blocks:
         return None
-    return RecordedForce(
-        *_samples(blocks),
-        simulated=any(block.simulated for block in blocks),
-        impacts=tuple(bag.impacts(impact_topic)) if impact_topic else detected_impacts(blocks),
-    )
+    recorded = [impact for _, impact in bag.timed_impacts(impact_topic)] if impact_topic else blocks
+    is_simulated = any(block.simulated for block in blocks)
+    return RecordedForce(*_samples(blocks), is_simulated, detected_impacts(recorded))
 
 
 def _samples(blocks: Sequence[ForceBlock]) -> tuple[NDArray[np.int64], FloatArray]:

@@ -182,10 +182,6 @@ class Bag(ABC):
         blocks = self.decoded(topic, FORCE_BLOCK, lambda message: decode_force_block(message.data))
         return self._once(topic, blocks, lambda block: (block.stamp_ns, block.first_sample))
 
-    def impacts(self, topic: str) -> Iterator[Impact]:
-        """Yield the impacts of `topic`; see `force_blocks`."""
-        return (impact for _, impact in self.timed_impacts(topic))
-
     def timed_impacts(self, topic: str) -> Iterator[tuple[int, Impact]]:
         """Yield log time [ns] and impact; see `force_blocks`."""
         is_earlier = check_definition(self.types, IMPACT, str(self.path))

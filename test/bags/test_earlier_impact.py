@@ -42,7 +42,7 @@ def test_the_added_fields_are_known() -> None:
 def test_an_impact_of_an_earlier_version_is_read(tmp_path: Path) -> None:
     path = recorded(tmp_path / "earlier.mcap", ADDED, EARLIER)
     with open_bag(path) as bag:
-        assert list(bag.impacts("/impact")) == [EARLIER]
+        assert [impact for _, impact in bag.timed_impacts("/impact")] == [EARLIER]
         assert bag.losses == ()
     found = recorded_contacts(path, ImportSettings(), DetectionSettings())
     assert (found.contacts, found.losses, found.doubts) == ((EARLIER,), (), (NO_BLOCKS,))
@@ -51,10 +51,10 @@ def test_an_impact_of_an_earlier_version_is_read(tmp_path: Path) -> None:
 def test_an_impact_of_this_version_is_read(tmp_path: Path) -> None:
     impact = EARLIER._replace(held_force=50.0, load_force=10.0)
     with open_bag(recorded(tmp_path / "present.mcap", (), impact)) as bag:
-        assert list(bag.impacts("/impact")) == [impact]
+        assert [impact for _, impact in bag.timed_impacts("/impact")] == [impact]
 
 
 def test_another_definition_is_refused(tmp_path: Path) -> None:
     path = recorded(tmp_path / "other.mcap", ("compression_impulse", *ADDED), EARLIER)
     with open_bag(path) as bag, pytest.raises(BagError, match="definition of scara_effmass_msgs/msg/Impact: must be"):
-        list(bag.impacts("/impact"))
+        list(bag.timed_impacts("/impact"))
