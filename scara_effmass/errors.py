@@ -4,6 +4,10 @@
 A message is one line: `FILE: key = value: must be RULE`.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
 _MAX_LENGTH = 2000
 """Longer messages are shortened [characters]: they may quote a value from a file, which can have any length."""
 
@@ -47,6 +51,17 @@ class KernelError(EffmassError, RuntimeError):
 
 class OutputError(EffmassError, OSError):
     """Output file that cannot be written or already exists."""
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Raise an OSError in the `with` block as the OutputError that `path` cannot be written."""
+    try:
+        yield
+    except EffmassError:
+        raise
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
 class DaqError(EffmassError, OSError):

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from scara_effmass.errors import OutputError
+from scara_effmass.errors import OutputError, writing
 from scara_effmass.input_files import check_not_input
 from scara_effmass.url import Url
 
@@ -59,22 +59,17 @@ def atomic_file(path: Path, *, overwrite: bool, mark: bytes = b"") -> Iterator[P
             unfinished = Path(folder) / path.name
             unfinished.touch()
             yield unfinished
-            try:
+            with writing(path):
                 path.upload(unfinished)
-            except OSError as error:
-                raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
         return
     unfinished = path.with_name(f".{path.stem}-{os.getpid()}{path.suffix}")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        unfinished.touch()
-        yield unfinished
-        check_output_path(path, overwrite=overwrite, mark=mark)
-        unfinished.replace(path)
-    except OutputError:
-        raise
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from None
+        with writing(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            unfinished.touch()
+            yield unfinished
+            check_output_path(path, overwrite=overwrite, mark=mark)
+            unfinished.replace(path)
     finally:
         with suppress(OSError):
             unfinished.unlink()

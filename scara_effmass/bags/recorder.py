@@ -29,7 +29,7 @@ from scara_effmass.bags.writer import (
     sync_folder,
     write_metadata,
 )
-from scara_effmass.errors import OutputError
+from scara_effmass.errors import OutputError, writing
 from scara_effmass.wire.cdr import NS
 
 POLL_S = 0.05
@@ -525,7 +525,7 @@ class BagRecorder:
         """Create the folder under a temporary name, so that a replaced bag is kept until the new one exists."""
         folder, options = self.folder, self._options
         space = DiskSpace(free_space, options.reserve_bytes, options.warn_bytes, options.warn_before_s)
-        try:
+        with writing(folder):
             folder.parent.mkdir(parents=True, exist_ok=True)
             has_room = not space.is_exhausted()
             with tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as temporary:
@@ -537,8 +537,6 @@ class BagRecorder:
                         folder.rename(Path(temporary, "replaced"))
                     writer.folder = unfinished.rename(folder)
                     return writer
-        except OSError as error:
-            raise OutputError(f"{folder}: cannot be written: {error.strerror}") from None
         reserve = f"{options.reserve_bytes / 1e6:.0f} MB"
         raise OutputError(f"{folder}: the disk has less than {reserve} left; free some space")
 

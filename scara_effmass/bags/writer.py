@@ -24,7 +24,7 @@ from scara_effmass.bags.batches import MAX_TIME_NS, Topic, merged_topics
 from scara_effmass.bags.definitions import definition_of, known_types
 from scara_effmass.bags.files import METADATA, bag_files, is_rosbag2_folder
 from scara_effmass.bags.mcap_bag import HASH_KEY, QOS_KEY
-from scara_effmass.errors import OutputError
+from scara_effmass.errors import OutputError, writing
 from scara_effmass.input_files import YAML_ERRORS, check_not_input
 from scara_effmass.values import JointState
 from scara_effmass.wire.joint_state import joint_state_message
@@ -353,7 +353,7 @@ class BagWriter:
         self._topics: dict[tuple[str, str], int] = {}
         self._is_file = path.suffix == ".mcap"
         check_output(path, overwrite=overwrite)
-        try:
+        with writing(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             self._temporary = path.parent / f".{path.name}-{token_hex(4)}"
             # Whenever a signal arrives, also before the `with` begins, the folder is removed together with this object.
@@ -365,8 +365,6 @@ class BagWriter:
                 mcap_path = self._unfinished if self._is_file else self._unfinished / f"{path.name}_0.mcap"
                 self._file = McapFileWriter(mcap_path)
                 undo.pop_all()
-        except OSError as error:
-            raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
 
     def write(self, topic: str, message_type: str, log_time_ns: int, data: bytes) -> None:
         """Add a message (CDR bytes). Raises BagError if the type is unknown, OutputError if the disk fails."""
@@ -377,10 +375,8 @@ class BagWriter:
             self._file.add_topic(Topic(topic, message_type, 0, type_hash), definition)
         self._file.add_message(index, log_time_ns, data)
         if self._file.pending_bytes >= CHUNK_BYTES:
-            try:
+            with writing(self.path):
                 self._file.save()
-            except OSError as error:
-                raise OutputError(f"{self.path}: cannot be written: {error.strerror}") from None
 
     def write_joint_states(self, topic: str, states: Iterable[JointState], frame_id: str = "") -> None:
         """Add joint states with their stamps as log times. Raises OutputError."""
@@ -390,19 +386,16 @@ class BagWriter:
     def close(self) -> None:
         """Complete the bag and move it to its path. Raises OutputError."""
         try:
-            self._file.finish()
-            self._file.save()
-            self._file.close()
-            if not self._is_file:
-                write_metadata(self._unfinished, [self._file.saved])
-            check_output(self.path, overwrite=self._overwrite)
-            if self.path.exists():
-                self.path.rename(self._temporary / "replaced")
-            self._unfinished.rename(self.path)
-        except OutputError:
-            raise
-        except OSError as error:
-            raise OutputError(f"{self.path}: cannot be written: {error.strerror or error}") from None
+            with writing(self.path):
+                self._file.finish()
+                self._file.save()
+                self._file.close()
+                if not self._is_file:
+                    write_metadata(self._unfinished, [self._file.saved])
+                check_output(self.path, overwrite=self._overwrite)
+                if self.path.exists():
+                    self.path.rename(self._temporary / "replaced")
+                self._unfinished.rename(self.path)
         finally:
             self.abort()
 

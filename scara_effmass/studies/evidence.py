@@ -24,7 +24,7 @@ from scipy.stats import binomtest
 
 from scara_effmass import __version__
 from scara_effmass.analysis.report import CYCLE, INK, STYLE, new_figure, render, report_figure, write_report_files
-from scara_effmass.errors import OutputError
+from scara_effmass.errors import OutputError, writing
 from scara_effmass.iso15066 import Limit, limits_for
 from scara_effmass.model.lumping import is_scara
 from scara_effmass.settings import MonitorSettings, ServoSettings
@@ -273,7 +273,7 @@ def extend_table(
     run without interruption. `run` simulates impacts by their numbers and yields their rows in that order. Raises
     OutputError if the table has another seed or version, or cannot be written.
     """
-    try:
+    with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("a+", encoding="utf-8", errors="replace", newline="\n") as file:
             file.seek(0)
@@ -295,8 +295,6 @@ def extend_table(
                 file.write(_lines(rows))
                 file.flush()
                 yield index + 1
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
 def _lines(rows: Iterable[Row]) -> str:

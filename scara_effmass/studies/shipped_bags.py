@@ -16,7 +16,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
-from scara_effmass.errors import EffmassError, OutputError
+from scara_effmass.errors import EffmassError, OutputError, writing
 from scara_effmass.input_files import read_table
 from scara_effmass.sim.measurement import FRAME_ID, ForceSensor, Pulse, SyntheticSignal, quantize
 from scara_effmass.sim.motion import (
@@ -177,10 +177,8 @@ def generate(folder: Path, *, overwrite: bool = False) -> tuple[Path, ...]:
     bags += [step.path for step in run_campaign(folder / CAMPAIGN_FOLDER, CAMPAIGN, overwrite=overwrite)]
     files = sorted(file for bag in bags for file in bag.iterdir())
     lines = [f"{hashlib.sha256(f.read_bytes()).hexdigest()}  {f.relative_to(folder).as_posix()}\n" for f in files]
-    try:
+    with writing(checksums):
         checksums.write_text("".join(lines), encoding="utf-8")
-    except OSError as error:
-        raise OutputError(f"{checksums}: cannot be written: {error.strerror}") from None
     return (*bags, checksums)
 
 
