@@ -159,6 +159,15 @@ REFUSALS: dict[str, tuple[list[str], str]] = {
         "--topic = /arm: must be one of /joint_states (sensor_msgs/msg/JointState)",
     ),
     "topic of a demo without a bag": (["demo", "--topic", "/arm"], "demo: --topic = /arm: the simulated cell has"),
+    "rate of a demo without a bag": (["demo", "--rate", "2"], "demo: --rate = 2: the simulated cell has its own pace"),
+    "force of a protocol without a bag": (
+        ["protocol", "fill", "protocol.yaml", "--force-from", "device.csv"],
+        "--force-from: must come with the recordings (BAG) to enter",
+    ),
+    "topic of a protocol without a bag": (
+        ["protocol", "init", "-o", "new.yaml", "--topic", "/arm"],
+        "--topic = /arm: must come with --from",
+    ),
     "robot of a demo without a bag": (
         ["demo", "--robot", ROBOT],
         "demo: --robot: the simulated cell has its own robot",
