@@ -20,6 +20,8 @@ from scara_effmass.values import ContactAssessment, Decision, FloatArray, Verdic
 BLOCK = 64
 """Number of contacts that are turned into columns together: few enough for the first-level cache."""
 Records = np.ndarray[Any, np.dtype[np.void]]
+_AT = {name: slice(PLACES[name], PLACES[name] + shape[0]) for name, shape in FIELDS.items() if shape}
+"""Places of vectors in the numbers of a contact."""
 
 
 @dataclass(eq=False, slots=True)
@@ -63,7 +65,7 @@ class Assessments:
 
     def reason(self, row: int, point: int) -> str:
         """Return the reason of one contact at one joint state, empty if it is OK."""
-        return self.texts.text(self.contacts["reason"][row, point], self.details)
+        return self.texts.text(self.contacts["reason"][row, point].tolist(), self.details)
 
     def reasons(self, point: int) -> tuple[NDArray[np.int64], list[str]]:
         """Return for each joint state (N,) the index of the reason of one contact, and the texts.
@@ -74,7 +76,7 @@ class Assessments:
         changes = np.any(rows[1:] != rows[:-1], axis=1)
         indices = np.concatenate((np.zeros(min(len(rows), 1), np.int64), np.cumsum(changes)))
         firsts = np.flatnonzero(np.concatenate((np.ones(min(len(rows), 1), np.bool_), changes)))
-        return indices, [self.texts.text(rows[first], self.details) for first in firsts.tolist()]
+        return indices, [self.texts.text(reason, self.details) for reason in rows[firsts].tolist()]
 
     @property
     def limit_shares(self) -> FloatArray:
@@ -123,21 +125,17 @@ class Assessments:
         return (self.decision(row) for row in range(len(self)))
 
     def _contact(self, row: int, point: int) -> ContactAssessment:
-        record = self.contacts[row, point]
-        return contact_of(record, self.points[point], self.texts.text(record["reason"], self.details), self.labels)
+        numbers: list[float] = self.numbers[row, point].tolist()
+        reason = self.texts.text(numbers[_AT["reason"]], self.details)
+        return contact_of(numbers, self.points[point], reason, self.labels)
 
 
 def contact_of(
-    record: Any,  # noqa: ANN401 - of CONTACT
-    point: str,
-    reason: str,
-    labels: Mapping[str, tuple[str, ...]],
+    numbers: Sequence[float], point: str, reason: str, labels: Mapping[str, tuple[str, ...]]
 ) -> ContactAssessment:
-    """Return the contact in a record of CONTACT, with the text of its reason; `labels` are the texts of its codes."""
-    fields: dict[str, Any] = dict(zip(FIELDS, record.tolist(), strict=True))  # once: each access to a field takes long
-    for name, shape in FIELDS.items():
-        if shape:
-            fields[name] = tuple(fields[name].tolist())
+    """Return the contact with these `numbers`, with the text of its reason; `labels` are the texts of its codes."""
+    fields: dict[str, Any] = {name: tuple(numbers[at]) for name, at in _AT.items()}
+    fields |= {name: numbers[PLACES[name]] for name, shape in FIELDS.items() if not shape}
     fields |= {name: texts[int(fields[name])] for name, texts in labels.items()}
     fields |= {
         "worst_direction_used": bool(fields["worst_direction_used"]),
@@ -175,7 +173,7 @@ _NO_LABELS = dict.fromkeys(("body_region", "criterion", "mass_model", "mass_mode
 
 def unknown_contact(point: str, reason: str, code: Reason = Reason.STATED) -> ContactAssessment:
     """Return an UNKNOWN without numbers."""
-    contact = contact_of(unknown_numbers().view(CONTACT)[0], point, reason, _NO_LABELS)
+    contact = contact_of(unknown_numbers().tolist(), point, reason, _NO_LABELS)
     return contact._replace(reason_code=code)
 
 

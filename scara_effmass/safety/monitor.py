@@ -267,7 +267,7 @@ class Monitor:
         memory = self._memory[0]
         if not memory["has_cause"]:
             return None
-        reason = self._remembered_texts.text(memory["cause_reason"], self._details)
+        reason = self._remembered_texts.text(memory["cause_reason"].tolist(), self._details)
         point = self._details[memory["cause_point"]]
         return Cause(int(memory["cause_stamp_ns"]), point, Verdict(int(memory["cause_verdict"])), reason)
 
@@ -517,7 +517,7 @@ class Monitor:
         debounces = self._debounces
         for reasons in (self._memory["cause_reason"], debounces["stale_reason"], *debounces["reasons"]):
             for reason in reasons:
-                reason[WORDS] = self._detail(before.words(reason, self._details))
+                reason[WORDS] = self._detail(before.words(reason.tolist(), self._details))
 
     def refuse(self, reason: Reason, detail: str, stamp_ns: int, age: float = 0.0, seconds: float = 0.0) -> Pending:
         """Return one joint state that is invalid for `reason`, such as undecodable bytes, to be settled."""

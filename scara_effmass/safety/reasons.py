@@ -13,7 +13,7 @@ from scara_effmass.model.lumping import lumped_suffices
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety.assumptions import Assumptions, scope
 from scara_effmass.settings import MonitorSettings
-from scara_effmass.values import FloatArray, speed_texts
+from scara_effmass.values import speed_texts
 
 NOT_DEFINITE = "the lumped mass matrix is singular or not positive definite at this pose"
 MASSLESS = "a joint moves the contact point, but no lumped mass"
@@ -173,7 +173,7 @@ class ReasonTexts:
             scope=scope(robot, settings),
         )
 
-    def text(self, reason: FloatArray, details: Sequence[str]) -> str:
+    def text(self, reason: Sequence[float], details: Sequence[str]) -> str:
         """Return the text of a `reason` (12,), whose texts are in `details`."""
         text = self.words(reason, details)
         if reason[HELD]:
@@ -183,12 +183,14 @@ class ReasonTexts:
             text = f"{LATCHED_UNTIL_RESET}{f'{point}: ' if point else ''}{text}"
         return text
 
-    def words(self, reason: FloatArray, details: Sequence[str]) -> str:
+    def words(self, reason: Sequence[float], details: Sequence[str]) -> str:
         """Return its text without what became of it."""
         if reason[WORDS]:
             return details[int(reason[WORDS])]
         code = Reason(int(reason[CODE]))
-        numbers, joint = reason[VALUES:].tolist(), int(reason[JOINT])
+        if code is Reason.NONE:
+            return ""
+        numbers, joint = reason[VALUES:], int(reason[JOINT])
         fields = dict(self.fixed)
         fields |= {"v": numbers, "detail": details[int(reason[DETAIL])]}
         fields |= {"joint": self.joints[joint], "unit": self.units[joint]}
