@@ -14,6 +14,7 @@ import numpy as np
 
 from scara_effmass.impacts.load import (
     EARLIER_LOAD,
+    IN_NOISE,
     LATER_LOAD,
     NO_BASELINE,
     SLOW_CHANGE,
@@ -504,6 +505,11 @@ class Detector:
         Returns the contact that left the load, if it ends or takes long.
         """
         first, level = self._processed - self._frame_size, 0.5 * (frame.low + frame.high)
+        if frame.high - frame.low > self._settings.threshold:  # neither middle nor median of noise is a sure level
+            zero = self._level.zero + self._level.load
+            level = min(level, frame.median_and_deviation[0], key=lambda middle: abs(middle - zero))
+            if frame.high - max(level, zero) > self._settings.threshold:
+                self.left_out.add(IN_NOISE, frame.high - zero, self._stamp_ns(first), 0)
         change = self._level.follow(level, self._frame_size / self._rate)
         if self._held is not None:
             self._extend_contact(self._held, first, self._processed)

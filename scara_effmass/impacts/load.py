@@ -21,6 +21,7 @@ NO_BASELINE = "no steady baseline"
 EARLIER_LOAD = "load from before the recording, or a zero that shifted"
 LATER_LOAD = "load that goes on after its contact was reported"
 SLOW_CHANGE = "slow change: drift, or a press that comes and goes slowly"
+IN_NOISE = "within the noise: less than noise_factor times its standard deviation"
 TENSION = "below the baseline: tension, an earlier load that goes, or a wrong sign"
 LOADS = {EARLIER_LOAD, LATER_LOAD, SLOW_CHANGE}
 """Reasons of force that stays or changes slowly."""

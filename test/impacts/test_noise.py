@@ -8,9 +8,10 @@ import pytest
 from scipy.signal import lfilter
 
 from scara_effmass.impacts.detector import Detector
+from scara_effmass.impacts.load import IN_NOISE
 from scara_effmass.settings import DetectionSettings
 from scara_effmass.values import FloatArray
-from test.impacts.conftest import AddPulse, Detect, MakeBlock
+from test.impacts.conftest import START_NS, AddPulse, Detect, MakeBlock
 
 RATE = 12_800.0
 HOUR = 46_080_000
@@ -32,6 +33,10 @@ def test_an_hour_at_the_floor_of_the_sensor(make_block: MakeBlock) -> None:
 
 def hum(generator: np.random.Generator, time: FloatArray) -> FloatArray:
     return generator.normal(0.0, 0.1, time.size) + 20.0 * np.sin(2.0 * np.pi * 50.0 * time)
+
+
+def white(generator: np.random.Generator, time: FloatArray) -> FloatArray:
+    return generator.normal(0.0, 20.0, time.size)
 
 
 def heavy_tails(generator: np.random.Generator, time: FloatArray) -> FloatArray:
@@ -108,3 +113,19 @@ def test_a_drifting_zero_of_a_quiet_coarse_sensor_is_not_stuck(
         (impact,), detector = detect(resolution * np.round(force / resolution), 5000.0)
         assert impact.peak_force == pytest.approx(283.0, abs=resolution)
         assert (impact.incomplete, detector.dropouts) == (False, 0)
+
+
+@pytest.mark.parametrize("kind", [hum, white])
+def test_force_that_noise_hides_is_counted(
+    detect: Detect, add_pulse: AddPulse, kind: Callable[[np.random.Generator, FloatArray], FloatArray]
+) -> None:
+    """Noise of 20 N raises the threshold to 160 N."""
+    force = kind(np.random.default_rng(0), np.arange(int(6 * RATE)) / RATE)
+    add_pulse(force[40_000:41_000], 100.0, 10e-3, 70.0)
+    largest = float(force[40_000:41_000].max())
+    impacts, detector = detect(force)
+    assert impacts == []
+    (hidden,) = [item for item in detector.left_out if item.reason == IN_NOISE]
+    assert hidden.occurrences == 1
+    assert (hidden.stamp_ns - START_NS) / 1e9 == pytest.approx(40_000 / RATE, abs=0.1)
+    assert hidden.peak_force == pytest.approx(largest, abs=6.0)
