@@ -68,6 +68,8 @@ IDENTITY = ("model", "serial", "calibration_date", "calibration_due")
 """What is stated of an instrument that measures pressure or speed alone."""
 SOURCE = {"raw_data", "raw_offset_s", "raw_channel", "raw_unit", "raw_import"}
 """Fields of a contact that say where its force is."""
+RELEASED_PERCENT = 10
+"""Share of the samples from a contact on that may be below the zero before it, as ringing [%]."""
 ROUNDING = 1e-3
 """Relative difference of forces that are the same."""
 STIFFNESS_TOLERANCE = 0.1
@@ -522,7 +524,12 @@ def _raw_reasons(
         if isinstance(trace, str):
             yield f"raw data is no force: {trace}"
             continue
-        if not trace.reaches_onset:
+        peak_n, held_n = item.transient_peak_n or 0.0, item.force_beyond_0_5_s_n or 0.0
+        is_early, total = trace.time <= TRANSIENT_S, trace.force + (item.load_n or 0.0)
+        if trace.reaches_onset and np.percentile(total, RELEASED_PERCENT) < -LOW_SHARE * peak_n:
+            yield f"the contact began before its time: contact {number}, {name}"  # the zero is a force of the contact
+            continue
+        if not trace.reaches_onset or total.max() < LOW_SHARE * peak_n:
             yield f"raw data without force at the time of the contact: contact {number}, {name}"
             continue
         if not trace.complete:
@@ -530,8 +537,6 @@ def _raw_reasons(
         if not trace.has_ended:
             text = f"contact {number}, {name}"
             yield f"the force had not ended, record until the release, within {MAX_CONTACT_S:g} s: {text}"
-        peak_n, held_n = item.transient_peak_n or 0.0, item.force_beyond_0_5_s_n or 0.0
-        is_early, total = trace.time <= TRANSIENT_S, trace.force + (item.load_n or 0.0)
         for force, entered_n in (
             (total[is_early], peak_n),
             (total[~is_early], max(held_n, LOW_SHARE * peak_n)),

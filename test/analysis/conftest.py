@@ -26,7 +26,7 @@ MASSES = (0.5, 7.35)
 ONSET_S = 1_772_614_800
 """Onset of the first contact of `content`, 2026-03-04 9:00 UTC."""
 RAW = "\n".join(
-    ["Time (s),Force (N)", *(f"{ONSET_S + i / 2000:.4f},{0.5 * (1 <= i % 2000 <= 40)}" for i in range(-40, 6000))]
+    ["Time (s),Force (N)", *(f"{ONSET_S + i / 2000:.4f},{50.0 * (1 <= i % 2000 <= 40)}" for i in range(-40, 6000))]
 ).encode()
 """Force of the contacts of `content`, one a second."""
 

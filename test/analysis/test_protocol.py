@@ -175,7 +175,7 @@ def test_one_measured_pressure_above_its_limit_is_a_violation(folder: Path) -> N
 @pytest.mark.parametrize(("contact", "limit_n"), [("transient", 19.0), ("quasi_static", 140.0)])
 def test_a_peak_pressure_does_not_replace_that_of_the_held_force(folder: Path, contact: str, limit_n: float) -> None:
     """A transient limit allows twice the pressure of a held contact: 190 N/cm2 on 0.1 cm2 of the hand."""
-    values = content(10.0)
+    values = content(50.0)
     values["tests"][0]["point"] |= {"contact": contact, "contact_area_m2": 1e-5}
     for item in values["tests"][0]["results"]["repetitions"]:
         item |= {"peak_pressure_n_cm2": 150.0, "force_beyond_0_5_s_n": 25.0}
@@ -255,7 +255,7 @@ def test_a_missing_prediction_never_improves_the_verdict(
     assert rank(known) <= rank(unpredicted(content(peak_n)))
 
 
-LIGHT = {"transient_peak_n": 0.6, "force_beyond_0_5_s_n": 0.0}
+LIGHT = {"transient_peak_n": 51.0, "force_beyond_0_5_s_n": 0.0}
 CHANGES: dict[str, dict[str, Any]] = {
     "another table of limits": {"identity": {"limits_hash": "0"}},
     "not calibrated on the day of the test": {"instruments": [{"calibration_due": "2026-03-03"}]},
@@ -277,10 +277,10 @@ CHANGES: dict[str, dict[str, Any]] = {
     "raw data without force at the time of the contact: contact 1": {
         "tests": [{"results": {"repetitions": [{"raw_offset_s": -60.0}]}}]
     },
-    "raw data shows more force than was entered: contact 3, 0.5 N": {
-        "tests": [{"results": {"repetitions": [{}, {}, {"transient_peak_n": 0.4}]}}]
+    "raw data shows more force than was entered: contact 3, 50.0 N": {
+        "tests": [{"results": {"repetitions": [{}, {}, {"transient_peak_n": 40.0}]}}]
     },
-    "raw data shows more force than was entered: contact 2, 0.5 N": {
+    "raw data shows more force than was entered: contact 2, 50.0 N": {
         "tests": [{"results": {"repetitions": [{}, {"raw_offset_s": 0.7, **LIGHT}]}}]
     },
     "duration and held force disagree: contact 2, 3 s, 9 N": {
@@ -398,19 +398,28 @@ def pulses(*peaks: tuple[float, float]) -> Callable[[float], float]:
     return lambda t: sum(peak * np.sin(np.pi * (t - at) / 0.02) for at, peak in peaks if 0.0 < t - at < 0.02)
 
 
+ENTERED = pulses((0.0, 100.0), (1.0, 100.0), (2.0, 100.0))
 RAW_FORCES: dict[str, tuple[Callable[[float], float], str]] = {
-    "entered": (pulses((0.0, 100.0), (1.0, 100.0), (2.0, 100.0)), ""),
+    "entered": (ENTERED, ""),
+    "much less": (
+        pulses((0.0, 100.0), (1.0, 9.0), (2.0, 100.0)),
+        "raw data without force at the time of the contact: contact 2, force.csv",
+    ),
+    "from before the time": (
+        lambda t: ENTERED(t) + 300.0 * (0.7 < t < 1.5),
+        "the contact began before its time: contact 2, force.csv",
+    ),
     "before the contacts": (
         pulses((-0.05, 140.0), (0.0, 100.0), (1.0, 100.0)),
         "raw data shows force outside of the contacts that were entered: 140.0 N",
     ),
-    "of another test": (pulses((0.0, 100.0), (2.8, 400.0)), ""),
+    "of another test": (pulses((0.0, 100.0), (1.0, 100.0), (2.0, 100.0), (2.8, 400.0)), ""),
     "goes on": (
         lambda t: 100.0 * (t > 2.0),
         "the force had not ended, record until the release, within 10 s: contact 3, force.csv",
     ),
     "not a number": (
-        lambda t: math.nan if 0.25 < t < 0.26 else 0.0,
+        lambda t: math.nan if 0.25 < t < 0.26 else ENTERED(t),
         "raw data is incomplete, lost, saturated or NaN after the onset: contact 1, force.csv",
     ),
 }
