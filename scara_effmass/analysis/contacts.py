@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from scara_effmass.analysis.forces import file_measurements, lost_samples
+from scara_effmass.analysis.forces import AC_COUPLED, LARGER_HELD, file_measurements, lost_samples
 from scara_effmass.bags.batches import LossLog
 from scara_effmass.errors import BagError
 from scara_effmass.impacts.detector import Detector
@@ -164,6 +164,8 @@ def _doubts(recorded: RecordedContacts, settings: ImportSettings, *, is_settled:
         yield NO_BLOCKS
     elif not is_settled:
         yield "no steady baseline at the end: contacts there are not known"
+    if AC_COUPLED in recorded.source and any(contact.held_force for contact in recorded.contacts):
+        yield LARGER_HELD
     largest = max((contact.peak_force for contact in recorded.contacts), default=0.0)
     tension = max((item.peak_force for item in recorded.left_out if item.reason == TENSION), default=0.0)
     if settings.axis != "norm" and tension > largest:  # a norm has no sign

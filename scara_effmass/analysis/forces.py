@@ -33,6 +33,9 @@ BEFORE_S = 0.01
 """Time before the onset; its median force is the baseline."""
 LOW_SHARE = 0.1
 """Share of the peak; the contact lasts while the force is above it."""
+AC_COUPLED = "AC coupl"
+"""In the source of a force whose constant part the converter removes: what stays decays within seconds."""
+LARGER_HELD = "AC coupling removes a force that stays: held forces are larger than measured"
 AFTER_S = 0.1
 """Time after the onset in a report of impacts."""
 LEFT, RIGHT, BASE, TOP = 46.0, 314.0, 126.0, 16.0
@@ -178,7 +181,8 @@ class ForceTrace(NamedTuple):
     """Force (n,) [N] above the baseline `level` at `time` (n,) [s] since the onset; empty without force blocks.
 
     `complete`: from the onset on no sample is lost, saturated or NaN. `relative_uncertainty` is the largest one of the
-    file. `outside` is the largest force [N] of the file in none of its traces, above the same baseline.
+    file. `outside` is the largest force [N] of the file in none of its traces, above the same baseline. `ac_coupled`: a
+    force that stays is larger than measured.
     """
 
     time: FloatArray
@@ -187,6 +191,7 @@ class ForceTrace(NamedTuple):
     complete: bool = True
     relative_uncertainty: float = 0.0
     outside: float = -math.inf
+    ac_coupled: bool = False
 
     @property
     def reaches_onset(self) -> bool:
@@ -314,7 +319,7 @@ def file_traces(
     parts: list[list[tuple[FloatArray, FloatArray]]] = [[] for _ in onsets]
     complete = np.full(len(onsets), fill_value=True)
     begins_ns = np.array([*onsets.tolist(), *known_ns], np.int64)
-    relative, outside = 0.0, -math.inf
+    relative, outside, ac_coupled = 0.0, -math.inf, False
     before: ForceBlock | None = None
     for _, block in file_measurements(path, settings, losses):
         if not isinstance(block, ForceBlock):
@@ -324,6 +329,7 @@ def file_traces(
         is_doubtful[block.saturated_samples] = True
         is_doubtful[:1] |= lost_before(block, before) > 0
         before, relative = block, max(relative, block.relative_uncertainty)
+        ac_coupled |= AC_COUPLED in block.source
         stamp_ns, seconds = block.stamp_ns + round(offset_s * NS), np.arange(len(block.force)) / block.sample_rate
         since = (stamp_ns - begins_ns) / NS
         near = since[(since <= after_s) & (since + len(block.force) / block.sample_rate > -BEFORE_S), None] + seconds
@@ -340,7 +346,7 @@ def file_traces(
     complete &= not any(losses)
     traces = [_above_baseline(*map(np.concatenate, zip(*part, strict=True))) if part else NO_TRACE for part in parts]
     return [
-        trace._replace(complete=bool(intact), relative_uncertainty=relative, outside=outside - trace.level)
+        ForceTrace(trace.time, trace.force, trace.level, bool(intact), relative, outside - trace.level, ac_coupled)
         for trace, intact in zip(traces, complete, strict=True)
     ]
 

@@ -54,7 +54,7 @@ from scara_effmass.impacts.segment import STUCK
 from scara_effmass.input_files import digest
 from scara_effmass.iso15066 import TABLE_HASH, TRANSIENT_S, Limit, limits_for
 from scara_effmass.settings import ContactType, ImportSettings, MonitorSettings, checked
-from scara_effmass.values import RefusedImpact, ValidatedImpact, Vector3, Verdict, at_least
+from scara_effmass.values import FloatArray, RefusedImpact, ValidatedImpact, Vector3, Verdict, at_least
 
 RECORD = "report.json"
 PHOTO_TYPES = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg", ".webp": "webp", ".gif": "gif"}
@@ -68,6 +68,7 @@ IDENTITY = ("model", "serial", "calibration_date", "calibration_due")
 """What is stated of an instrument that measures pressure or speed alone."""
 SOURCE = {"raw_data", "raw_offset_s", "raw_channel", "raw_unit", "raw_import"}
 """Fields of a contact that say where its force is."""
+NO_FORCE = "raw data without force at the time of the contact"
 RELEASED_PERCENT = 10
 """Share of the samples from a contact on that may be below the zero before it, as ringing [%]."""
 ROUNDING = 1e-3
@@ -526,24 +527,32 @@ def _raw_reasons(
             continue
         peak_n, held_n = item.transient_peak_n or 0.0, item.force_beyond_0_5_s_n or 0.0
         is_early, total = trace.time <= TRANSIENT_S, trace.force + (item.load_n or 0.0)
-        if trace.reaches_onset and np.percentile(total, RELEASED_PERCENT) < -LOW_SHARE * peak_n:
-            yield f"the contact began before its time: contact {number}, {name}"  # the zero is a force of the contact
-            continue
-        if not trace.reaches_onset or total.max() < LOW_SHARE * peak_n:
-            yield f"raw data without force at the time of the contact: contact {number}, {name}"
+        contact, early, late = f"contact {number}, {name}", total[is_early], total[~is_early]
+        if problem := _other_force(trace, total, LOW_SHARE * peak_n):
+            yield f"{problem}: {contact}"
             continue
         if not trace.complete:
-            yield f"raw data is incomplete, lost, saturated or NaN after the onset: contact {number}, {name}"
+            yield f"raw data is incomplete, lost, saturated or NaN after the onset: {contact}"
         if not trace.has_ended:
-            text = f"contact {number}, {name}"
-            yield f"the force had not ended, record until the release, within {MAX_CONTACT_S:g} s: {text}"
-        for force, entered_n in (
-            (total[is_early], peak_n),
-            (total[~is_early], max(held_n, LOW_SHARE * peak_n)),
-        ):
+            yield f"the force had not ended, record until the release, within {MAX_CONTACT_S:g} s: {contact}"
+        if trace.ac_coupled and late.max(initial=0.0) > LOW_SHARE * peak_n:
+            yield f"AC coupling removes a force that stays, measure with DC coupling: {contact}"
+        for force, entered_n in ((early, peak_n), (late, max(held_n, LOW_SHARE * peak_n))):
             if force.max(initial=0.0) > entered_n * (1.0 + max(tolerance, ROUNDING)):
-                text = f"{at_least(force.max(), 1)} N in {name}"
-                yield f"raw data shows more force than was entered: contact {number}, {text}"
+                text = f"contact {number}, {at_least(force.max(), 1)} N in {name}"
+                yield f"raw data shows more force than was entered: {text}"
+
+
+def _other_force(trace: ForceTrace, total: FloatArray, low_n: float) -> str:
+    """Return why the `total` force (n,) [N] of a trace is not that of a contact, which exceeds `low_n`; else empty.
+
+    If the zero is a force of the contact, the force ends below it; with AC coupling, after any that stays.
+    """
+    if not trace.reaches_onset:
+        return NO_FORCE
+    if not trace.ac_coupled and np.percentile(total, RELEASED_PERCENT) < -low_n:
+        return "the contact began before its time"
+    return NO_FORCE if total.max() < low_n else ""
 
 
 def _values(test: ContactTest, instrument: Instrument) -> dict[str, float | bool]:

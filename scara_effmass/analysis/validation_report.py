@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from scara_effmass import __version__
-from scara_effmass.analysis.forces import AFTER_S, ShownTrace
+from scara_effmass.analysis.forces import AFTER_S, LARGER_HELD, ShownTrace
 from scara_effmass.analysis.output import json_types
 from scara_effmass.analysis.report import (
     ENGLISH_PAGE,
@@ -102,7 +102,7 @@ def summary_lines(validation: Validation) -> Iterator[tuple[str, str]]:
     yield "result", result.verdict
     yield "limit", limit_text(result)
     if held := held_text(result):
-        yield "held", held
+        yield "held", f"{held}; {LARGER_HELD}" if validation.ac_coupled else held
     yield "impacts", impacts_text(result)
     for recording in validation.recordings:
         if recording.force_clock:

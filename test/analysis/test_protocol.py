@@ -441,6 +441,35 @@ def test_raw_data_shows_what_nobody_entered(case: str, tmp_path: Path) -> None:
     assert not reason or reason in evaluation.reasons
 
 
+@pytest.mark.parametrize(("coupling", "seconds"), [("AC", 0.8), ("AC", 0.3), ("DC", 0.8)])
+def test_a_force_that_stays_is_not_known_with_ac_coupling(coupling: str, seconds: float, tmp_path: Path) -> None:
+    """A corner frequency of 0.1 Hz takes 27 % in 0.5 s: 115 N were 160 N, more than the limit of 140 N."""
+    values = content(160.0)
+    time = np.arange(-500, 3000) / 1e3
+    decay = 2.0 * np.pi * 0.1 * (coupling == "AC")
+    held = 160.0 * np.exp(-decay * time) * ((time > 0.0) & (time < seconds))
+    force = held + (held[(time > 0.0) & (time < seconds)][-1] - 160.0) * np.exp(-decay * (time - seconds)) * (
+        time >= seconds
+    )
+    items = values["tests"][0]["results"]["repetitions"]
+    with BagWriter(tmp_path / "force.mcap") as bag:
+        for number, item in enumerate(items):
+            first_ns = round(datetime.fromisoformat(item["time"]).timestamp() * 1e9) - 500 * 10**6
+            source = f"cDAQ1Mod1/ai0, IEPE, {coupling} coupling"
+            block = ForceBlock(first_ns, "cell", 0, 1e3, force, source=source)
+            bag.write(f"/force{number}", FORCE_BLOCK, first_ns, force_block_message(block))
+            item |= {"raw_data": "force.mcap", "raw_sha256": None, "raw_channel": f"/force{number}"}
+            late = force[time > 0.5].max() * (seconds > 0.5)
+            item |= {"duration_s": seconds, "force_beyond_0_5_s_n": float(late)}
+    values["instruments"][0]["sample_rate_hz"] = 1000.0
+    evaluation = evaluated(Protocol.model_validate(values), tmp_path).tests[0].results.evaluation
+    assert evaluation
+    is_known = coupling == "DC" or seconds < 0.5
+    assert evaluation.verdict == (("VIOLATION" if seconds > 0.5 else "OK") if is_known else "UNKNOWN")
+    reasons = [reason for reason in evaluation.reasons if reason.startswith("AC coupling removes a force that stays")]
+    assert len(reasons) == (0 if is_known else 3), evaluation.reasons
+
+
 def test_the_calibration_is_no_better_than_that_of_the_raw_data(tmp_path: Path) -> None:
     values = content()
     (tmp_path / "volts.csv").write_bytes(RAW.replace(b"(N)", b"(V)"))
@@ -554,10 +583,12 @@ def test_fewer_than_three_contacts_are_unknown(folder: Path) -> None:
     assert (evaluation.verdict, evaluation.reasons[1]) == ("UNKNOWN", "too few contacts: 2 of 3")
 
 
-@given(st.floats(1.0, 400.0), st.floats(1.0, 1.5), st.floats(0.0, 0.3), st.floats(0.0, 0.3), st.floats(1.0, 400.0))
+@given(st.floats(50.0, 400.0), st.floats(1.0, 1.5), st.floats(0.0, 0.3), st.floats(0.0, 0.3), st.floats(1.0, 400.0))
 def test_more_force_or_uncertainty_never_improves_the_verdict(
     folder: Path, peak_n: float, factor: float, relative: float, more: float, held_n: float
 ) -> None:
+    """Unless the raw data shows more than was entered."""
+
     def rank(peak: float, share: float) -> int:
         values = changed(content(peak), {"instruments": [{"force_uncertainty": share}]})
         values["tests"][0]["results"]["repetitions"][0]["force_beyond_0_5_s_n"] = held_n

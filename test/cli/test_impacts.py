@@ -12,6 +12,7 @@ from nptdms import ChannelObject, TdmsWriter
 
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
+from scara_effmass.values import ForceBlock
 from scara_effmass.wire.force import force_block_message
 from scara_effmass.wire.message_types import FORCE_BLOCK, WRENCH_STAMPED
 from test.bags.messages import header, message, serialized
@@ -59,6 +60,19 @@ def test_the_list_has_a_line_for_each_contact_and_for_what_is_left_out(cli: Cli,
     assert re.match(
         r"left out 1: slow change: drift, or a press that comes and goes slowly \(up to (39|40)", left_out[1]
     )
+
+
+@pytest.mark.parametrize("coupling", ["AC", "DC"])
+def test_ac_coupling_makes_held_forces_too_small(cli: Cli, tmp_path: Path, coupling: str) -> None:
+    force = np.random.default_rng(0).normal(0.0, 0.1, 10_000)
+    force[3_000:5_000] += 60.0 * np.exp(-0.628 * np.arange(2_000) / 1_000.0 * (coupling == "AC"))
+    block = ForceBlock(10**18, "cell", 0, 1_000.0, force, source=f"cDAQ1Mod1/ai0, IEPE, {coupling} coupling")
+    with BagWriter(tmp_path / "held.mcap") as bag:
+        bag.write("/force", FORCE_BLOCK, 10**18, force_block_message(block))
+    (recording,) = json.loads(cli("impacts", tmp_path / "held.mcap", "--json").stdout)["recordings"]
+    assert recording["contacts"][0]["held_force_n"] > 40.0
+    is_said = any("held forces are larger than measured" in problem for problem in recording["problems"])
+    assert is_said == (coupling == "AC")
 
 
 def test_a_wrong_sign_is_said(cli: Cli, tmp_path: Path) -> None:
