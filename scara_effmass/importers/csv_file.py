@@ -16,12 +16,13 @@ from scara_effmass.importers.force_file import (
     SPELLINGS,
     UNITS,
     ForceFile,
+    check_seconds,
     refuse_settings,
     select_force,
     select_unit,
     uniform_samples,
 )
-from scara_effmass.importers.times import MAX_DIGITS, Decimals, Numbers, time_ns
+from scara_effmass.importers.times import MAX_DIGITS, Decimals, Numbers, iso_ns, time_ns
 from scara_effmass.input_files import check_regular_file
 from scara_effmass.settings import ImportSettings
 from scara_effmass.wire.cdr import MAX_SEC, NS
@@ -85,12 +86,16 @@ def open_csv(path: Path, settings: ImportSettings) -> ForceFile:
         raise SettingsError(f"{path}: topic = time_column = {header[time]}: must be two columns")
     origin = f"{path}: {header[force]}"
     unit = select_unit(settings.unit, _unit(header[force]), origin)
+    first = next(rows, (0, []))
     # A long file has millions of rows; these arrays need 16 bytes for each.
     stamps_ns, values = array("q"), array("d")
-    for stamp_ns, value in _samples(path, header, rows, time, force, settings.rate, Numbers(delimiter)):
+    for stamp_ns, value in _samples(path, header, chain([first], rows), time, force, settings.rate, Numbers(delimiter)):
         stamps_ns.append(stamp_ns)
         values.append(value)
     sample_rate, blocks = uniform_samples(origin, np.frombuffer(stamps_ns, np.int64), np.frombuffer(values))
+    if time is not None and not _unit(header[time]) and iso_ns("".join(first[1][time : time + 1])) is None:
+        remedy = "head the column with Time (ms), or write dates of a spreadsheet as 2025-12-31 10:11:12.345"
+        check_seconds(sample_rate, len(values), f"{path}: {header[time]}", remedy)
     return ForceFile(f"{path.name}, {header[force]}", unit, sample_rate, blocks)
 
 

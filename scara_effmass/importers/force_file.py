@@ -36,6 +36,8 @@ UNITS = (*NEWTON_PER_UNIT, *VOLT_PER_UNIT)
 
 TABLE_SETTINGS = ("rate", "time_column", "header")
 """Settings without effect on messages."""
+MIN_RATE, MAX_RATE = 20.0, 1e5
+"""Rates of force [Hz] between which times without a unit are in seconds; beyond, they are milliseconds or days."""
 BLOCK_TIME_S = 0.1
 """Length of an imported block."""
 HEAD = 4096
@@ -99,6 +101,16 @@ def select_unit(setting: str, stated: str, origin: str) -> str:
     if setting and stated in UNITS and stated != setting:
         raise SettingsError(f"{origin}: unit = {setting}: must be empty, the file states {stated}")
     return setting or stated
+
+
+def check_seconds(sample_rate: float, count: int, origin: str, remedy: str) -> None:
+    """Raise BagError, with a `remedy`, if the times of `count` samples, without a unit, can hardly be in seconds.
+
+    Fewer samples than a window show no impact, whose peak and impulse would be wrong.
+    """
+    if count > WINDOW and not MIN_RATE <= sample_rate <= MAX_RATE:
+        problem = f"states no unit, and in seconds the rate would be {sample_rate:.4g} Hz"
+        raise BagError(f"{origin}: {problem}; must state the unit: {remedy}")
 
 
 def refuse_settings(settings: ImportSettings, names: Iterable[str], origin: str, reason: str) -> None:

@@ -20,6 +20,7 @@ from scara_effmass.importers.force_file import (
     SPELLINGS,
     ForceFile,
     IntArray,
+    check_seconds,
     refuse_settings,
     select_force,
     select_unit,
@@ -83,6 +84,9 @@ def open_tdms(path: Path, settings: ImportSettings) -> ForceFile:
             raise SettingsError(f"{path}: {setting}: must be one of {', '.join(times or channels)}")
         times_ns = _times_ns(path, channels[times[0]], f"{path}: {times[0]}", len(channel))
         sample_rate, blocks = uniform_samples(origin, times_ns, samples[: len(times_ns)])
+        if not _unit(channels[times[0]]) and np.issubdtype(channels[times[0]].dtype, np.number):
+            remedy = "as unit_string, or in the header of a CSV file"
+            check_seconds(sample_rate, len(times_ns), f"{path}: {times[0]}", remedy)
     return ForceFile(f"{path.name}, {name}", unit, sample_rate, blocks, losses=lambda: losses)
 
 

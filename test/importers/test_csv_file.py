@@ -210,6 +210,20 @@ def test_bad_table_is_refused_in_one_line(tmp_path: Path, text: str, settings: d
     assert "\n" not in str(refusal.value)
 
 
+@pytest.mark.parametrize(("name", "per_s", "start"), [("Time", 1e3, 0.0), ("Date", 1.0 / 86_400.0, 45_992.0)])
+def test_times_without_a_unit_that_are_no_seconds_are_refused(
+    tmp_path: Path, name: str, per_s: float, start: float
+) -> None:
+    """Milliseconds, and dates as a spreadsheet counts them."""
+    rows = "".join(f"{start + i / 1000.0 * per_s:.15g},{i % 7}\n" for i in range(1000))
+    with pytest.raises(BagError, match=f"{name}: states no unit, and in seconds the rate would be .*; must state"):
+        imported(write(tmp_path / "cell.csv", f"{name},Force (N)\n{rows}"))
+    slow = "".join(f"{i},{i % 7}\n" for i in range(1000))
+    assert imported(write(tmp_path / "slow.csv", f"{name} (s),Force (N)\n{slow}"))
+    daily = "".join(f"2025-01-01T10:{i // 60:02}:{i % 60:02},{i % 7}\n" for i in range(1000))
+    assert imported(write(tmp_path / "daily.csv", f"{name},Force (N)\n{daily}"))
+
+
 @given(text=st.text(st.characters(codec="utf-8"), max_size=60), has_header=st.booleans())
 def test_any_text_is_imported_or_refused(
     tmp_path_factory: pytest.TempPathFactory, text: str, *, has_header: bool

@@ -190,6 +190,13 @@ def test_times_of_a_channel(tmp_path: Path, unit: str | None) -> None:
         assert blocks[0].stamp_ns == (0 if unit else START_NS)
 
 
+def test_times_without_a_unit_that_are_no_seconds_are_refused(tmp_path: Path) -> None:
+    force = np.arange(1000.0), {"unit_string": "N"}
+    path = write(tmp_path / "run.tdms", {"g/Time": (np.arange(1000) * 2.0, {}), "g/Force": force})
+    with pytest.raises(BagError, match=r"g/Time: states no unit, and in seconds the rate would be 0\.5 Hz; must state"):
+        imported(path)
+
+
 def test_channel_without_times_needs_a_rate(tmp_path: Path) -> None:
     path = write(tmp_path / "run.tdms", {"g/c": (FORCE, {"unit_string": "N"})})
     with pytest.raises(
