@@ -214,7 +214,8 @@ def _guarded(path: Path, read: Callable[[], Any]) -> Any:  # noqa: ANN401 - nptd
 
 def _force_name(path: Path, channels: dict[str, Any], topic: str) -> str:
     """Return the name of the channel `topic`; if empty, of the only one that can be force."""
-    names = [name for name, one in channels.items() if len(one) and np.issubdtype(one.dtype, np.number)]
+    types = _guarded(path, lambda: {name: one.dtype for name, one in channels.items()})
+    names = [name for name, one in channels.items() if len(one) and np.issubdtype(types[name], np.number)]
     if not names:
         raise BagError(f"{path}: has no channel with numbers")
     name = topic or select_force(path, [(key, _unit(channels[key])) for key in names if not _is_time(channels[key])])

@@ -197,6 +197,13 @@ def test_times_without_a_unit_that_are_no_seconds_are_refused(tmp_path: Path) ->
         imported(path)
 
 
+def test_channel_whose_scaling_is_damaged_is_refused(tmp_path: Path) -> None:
+    scaling = {"NI_Number_Of_Scales": 1, "wf_increment": 1e-3, "unit_string": "N"}
+    path = write(tmp_path / "run.tdms", {"g/Force": (np.arange(100, dtype=np.int16), scaling)})
+    with pytest.raises(BagError, match="cannot be read: "):
+        imported(path)
+
+
 def test_channel_without_times_needs_a_rate(tmp_path: Path) -> None:
     path = write(tmp_path / "run.tdms", {"g/c": (FORCE, {"unit_string": "N"})})
     with pytest.raises(
