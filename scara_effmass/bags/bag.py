@@ -5,6 +5,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import cached_property
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -25,6 +26,7 @@ from scara_effmass.bags.compression import inflate_message
 from scara_effmass.bags.definitions import check_definition, types_of
 from scara_effmass.errors import BagError, DecodeError
 from scara_effmass.values import ForceBlock, Impact, RunInfo
+from scara_effmass.wire.cdr import NS
 from scara_effmass.wire.force import decode_force_block, decode_impact
 from scara_effmass.wire.former_contact_state import DEFINITION
 from scara_effmass.wire.message_types import (
@@ -38,6 +40,8 @@ from scara_effmass.wire.message_types import (
 )
 from scara_effmass.wire.run_info import decode_run_info
 
+MAX_OVERLAP = 0.25
+"""Share of a block by which the next one may begin earlier, as the fit of the clock moves the stamps."""
 USUAL = {
     JOINT_STATE: "joint_states",
     FORCE_BLOCK: "force",
@@ -172,7 +176,8 @@ class Bag(ABC):
     def force_blocks(self, topic: str) -> Iterator[ForceBlock]:
         """Yield the force blocks of `topic`; invalid messages are skipped and listed in `losses`.
 
-        Raises BagError if the topic is missing or the bag defines ForceBlock differently.
+        Raises BagError if the topic is missing, if the bag defines ForceBlock differently, or if blocks overlap in
+        time, because the detection would take those of two publishers as one broken signal.
         """
         return (block for _, block in self.timed_force_blocks(topic))
 
@@ -180,7 +185,8 @@ class Bag(ABC):
         """Yield log time [ns] and force block; see `force_blocks`."""
         check_definition(self.types, FORCE_BLOCK, str(self.path))
         blocks = self.decoded(topic, FORCE_BLOCK, lambda message: decode_force_block(message.data))
-        return self._once(topic, blocks, lambda block: (block.stamp_ns, block.first_sample))
+        key = attrgetter("stamp_ns", "first_sample", "frame_id", "source")
+        return self._of_one_publisher(topic, self._once(topic, blocks, key))
 
     def timed_impacts(self, topic: str) -> Iterator[tuple[int, Impact]]:
         """Yield log time [ns] and impact; see `force_blocks`."""
@@ -213,6 +219,18 @@ class Bag(ABC):
             seen.add(key(item))
             yield log_time_ns, item
 
+    def _of_one_publisher(
+        self, topic: str, blocks: Iterable[tuple[int, ForceBlock]]
+    ) -> Iterator[tuple[int, ForceBlock]]:
+        """Yield `blocks`. Raises BagError if two of them overlap in time."""
+        before: ForceBlock | None = None
+        for log_time_ns, block in blocks:
+            if before is not None and _overlap(before, block):
+                problem = f"blocks at {block.stamp_ns / NS:.3f} s overlap in time; must be of one publisher"
+                raise BagError(f"{self.path}: {topic}: {problem}")
+            before = block
+            yield log_time_ns, block
+
     def deserialize(self, message: RawMessage) -> Any:  # noqa: ANN401 - of a class that the bag defines
         """Return a message as an object with the fields of its type. Raises DecodeError."""
         try:
@@ -230,6 +248,15 @@ class Bag(ABC):
         columns = (batch.topic.tolist(), batch.log_time_ns.tolist(), batch.start.tolist(), batch.stop.tolist())
         for index, log_time_ns, start, stop in zip(*columns, strict=True):
             yield RawMessage(self.topics[index].name, self.topics[index].type, log_time_ns, batch.data[start:stop])
+
+
+def _overlap(before: ForceBlock, block: ForceBlock) -> bool:
+    """Return whether `block` has much of the time of the one `before`; a clock step between the two does not count."""
+    lengths_ns = [len(item.force) / item.sample_rate * NS for item in (before, block)]
+    begin_ns = max(before.stamp_ns, block.stamp_ns)
+    end_ns = min(before.stamp_ns + lengths_ns[0], block.stamp_ns + lengths_ns[1])
+    is_next = block.first_sample == before.first_sample + len(before.force)
+    return not is_next and end_ns - begin_ns > MAX_OVERLAP * min(lengths_ns)
 
 
 def inflate_stored(path: Path, data: bytes, losses: LossLog) -> bytes:

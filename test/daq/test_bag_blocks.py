@@ -37,6 +37,20 @@ def played(path: Path, topic: str = "") -> list[Reading]:
         return list(iter(lambda: source.read(0.0), None))
 
 
+@pytest.mark.parametrize("delay_ms", [3, 50, 70])
+@pytest.mark.parametrize("source", ["test", "other"])
+def test_blocks_of_two_publishers_are_refused(tmp_path: Path, delay_ms: int, source: str) -> None:
+    """Played as one signal, each block would be a restart, in which an impact or a held force is lost."""
+    blocks = [force_block(100 * number) for number in range(10)]
+    others = [
+        block._replace(stamp_ns=block.stamp_ns + delay_ms * MS, first_sample=block.first_sample + 777, source=source)
+        for block in blocks
+    ]
+    path = write_blocks(tmp_path / "run", sorted(blocks + others, key=lambda block: block.stamp_ns))
+    with pytest.raises(BagError, match=r"run: /force: blocks at .* s overlap in time; must be of one publisher"):
+        played(path)
+
+
 def numbers(readings: list[Reading]) -> list[tuple[int, int]]:
     return [(reading.first_sample, reading.lost) for reading in readings]
 
