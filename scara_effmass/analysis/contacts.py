@@ -12,7 +12,7 @@ from scara_effmass.analysis.forces import AC_COUPLED, LARGER_HELD, file_measurem
 from scara_effmass.bags.batches import LossLog
 from scara_effmass.errors import BagError
 from scara_effmass.impacts.detector import Detector
-from scara_effmass.impacts.load import TENSION, left_out_text
+from scara_effmass.impacts.load import MAX_HELD_S, TENSION, left_out_text
 from scara_effmass.settings import DetectionSettings, ImportSettings
 from scara_effmass.values import ForceBlock, Impact, LeftOut
 
@@ -95,6 +95,7 @@ class RecordedContacts:
             remarks = {
                 f"on a load of {contact.load_force:.1f} N": contact.load_force,
                 "press": contact.is_press,
+                f"over {MAX_HELD_S:g} s: at least": contact.duration >= MAX_HELD_S,
                 f"rebound {contact.rebound}": contact.rebound,
                 "clipped: at least": contact.clipped,
                 "incomplete: at least": contact.incomplete,

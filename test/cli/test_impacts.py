@@ -62,6 +62,15 @@ def test_the_list_has_a_line_for_each_contact_and_for_what_is_left_out(cli: Cli,
     )
 
 
+def test_a_contact_that_was_measured_for_five_seconds_lasted_at_least_that_long(cli: Cli, tmp_path: Path) -> None:
+    force = np.random.default_rng(0).normal(0.0, 0.1, 25_000)
+    force[2_000:6_000] += 60.0
+    force[8_000:23_000] += 60.0
+    done = cli("impacts", written(tmp_path / "force.csv", force))
+    rows = [line.split() for line in done.stdout.splitlines() if line.strip().endswith(("press", "at least"))]
+    assert [" ".join(row[5:]) for row in rows] == ["press", "press, over 5 s: at least"]
+
+
 @pytest.mark.parametrize("coupling", ["AC", "DC"])
 def test_ac_coupling_makes_held_forces_too_small(cli: Cli, tmp_path: Path, coupling: str) -> None:
     force = np.random.default_rng(0).normal(0.0, 0.1, 10_000)
