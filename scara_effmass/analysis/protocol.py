@@ -49,6 +49,9 @@ Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
 MAX_FORCE_N = 1e6
 Force = Annotated[float, Field(ge=0.0, le=MAX_FORCE_N)]
+MAX_SPEED_M_S = 100.0
+"""A larger speed was entered in mm/s."""
+Speed = Annotated[float, Field(gt=0.0, le=MAX_SPEED_M_S)]
 Area = Annotated[float, Field(ge=1e-8, le=0.1)]
 """Contact area [m2]."""
 Text = Annotated[str, Field(min_length=1)]
@@ -144,7 +147,7 @@ class Motion(FrozenSettings):
     direction: Annotated[Vector3, AfterValidator(_not_zero)] | None = stated(
         "of the motion, in the base frame [x, y, z]"
     )
-    commanded_speed_m_s: Positive | None = stated("commanded speed of the contact point [m/s]")
+    commanded_speed_m_s: Speed | None = stated("commanded speed of the contact point [m/s]")
     payload_kg: NotNegative | None = stated("payload [kg]")
     safety_setting: Text | None = stated("safety function and its setting, as the stop by force at 80 N")
 
@@ -165,7 +168,7 @@ class Repetition(FrozenSettings):
     raw_import: Annotated[dict[str, Any], AfterValidator(_import_settings)] | None = optional(
         "other settings of `scara-effmass import` that it needs, as {rate: 1000.0} or {sensor: {sensitivity: 2.31}}"
     )
-    reached_speed_m_s: Positive | None = stated("speed of the contact point at the onset [m/s]")
+    reached_speed_m_s: Speed | None = stated("speed of the contact point at the onset [m/s]")
     transient_peak_n: Force | None = stated("largest force in the first 0.5 s [N]")
     force_beyond_0_5_s_n: Force | None = stated("largest force after the first 0.5 s [N]; 0: it had ended")
     load_n: Force | None = optional("load from before the contact, which both forces include [N]; null: none")

@@ -30,6 +30,7 @@ from scara_effmass.analysis.forces import (
 )
 from scara_effmass.analysis.protocol import (
     MAX_FORCE_N,
+    MAX_SPEED_M_S,
     MIN_POSE_DISTANCE,
     MIN_REPETITIONS,
     ContactTest,
@@ -229,7 +230,7 @@ def _repetition(contact: ValidatedImpact | RefusedImpact, trace: ForceTrace) -> 
             beyond = _force((max(float(late.max()), 0.0) + contact.load_force) / share)
     return Repetition(
         time=_time(contact.stamp_ns),
-        reached_speed_m_s=rounded(contact.speed) or None,
+        reached_speed_m_s=rounded(contact.speed) if 0.0 < contact.speed <= MAX_SPEED_M_S else None,
         transient_peak_n=_force((peak + contact.load_force) / share),
         force_beyond_0_5_s_n=beyond,
         load_n=_force(contact.load_force / share) or None,

@@ -642,6 +642,10 @@ def test_an_edited_evaluation_does_not_count(folder: Path) -> None:
         ("tests: [{id: a, point: {body_region: face}}]", "the standard permits no contact"),
         ("tests: [{id: a, point: {contact_area_m2: 1}}]", "contact_area_m2 = 1: must be less than or equal to 0.1"),
         ("tests: [{id: a, motion: {commanded_speed_m_s: -1}}]", "commanded_speed_m_s = -1: must be greater than 0"),
+        (
+            "tests: [{id: a, results: {repetitions: [{reached_speed_m_s: 180}]}}]",
+            "_m_s = 180: must be less than or equal",
+        ),
         ("tests: [{id: a, results: {repetitions: [{time: '2026-01-01T00:00:00'}]}}]", "timezone"),
     ],
 )
