@@ -30,11 +30,15 @@ X, COMMENT = "X_Value", "Comment"
 
 
 class _Channel(NamedTuple):
-    """A channel of one segment: its column and that of its times, and start [ns], X0, Delta_X [s] and unit."""
+    """A channel of one segment: its column and that of its times, and start [ns], X0, Delta_X [s] and unit.
+
+    `samples` are those that the header states; 0 if it states none.
+    """
 
     name: str
     column: int
     x_column: int | None
+    samples: int
     start_ns: int
     x0: float
     dx: float
@@ -59,7 +63,7 @@ def open_lvm(path: Path, settings: ImportSettings) -> ForceFile:
     except Exception as error:  # noqa: BLE001 - lvm_read raises any error at a damaged file
         raise BagError(f"{path}: cannot be read as a LabVIEW measurement file: {one_line(error)}") from None
     name = _name(path, [channel for channels, _ in segments for channel in channels], settings.topic)
-    times_ns, values, unit = [], [], ""
+    times_ns, values, unit, stated = [], [], "", 0
     for channels, segment in segments:
         for channel in channels:
             if channel.name == name:
@@ -67,13 +71,16 @@ def open_lvm(path: Path, settings: ImportSettings) -> ForceFile:
                 times_ns.append(own_ns)
                 values.append(samples)
                 unit = unit or channel.unit
+                stated += channel.samples
     origin = f"{path}: {name}"
     stamps_ns, force = np.concatenate(times_ns), np.concatenate(values)
     if not len(force) or np.any(np.diff(stamps_ns) < 0):
         raise BagError(f"{origin}: must have times that advance, also from segment to segment")
     unit = select_unit(settings.unit, unit, origin)
     sample_rate, blocks = uniform_samples(origin, stamps_ns, force)
-    return ForceFile(f"{path.name}, {name}", unit, sample_rate, blocks)
+    lost = f"{path}: has {len(force)} of the {stated} samples that it states; the rest is lost"
+    losses = (lost,) if len(force) < stated else ()
+    return ForceFile(f"{path.name}, {name}", unit, sample_rate, blocks, losses=lambda: losses)
 
 
 def _channels(header: dict[Any, Any], segment: dict[str, Any]) -> Iterator[_Channel]:
@@ -101,6 +108,7 @@ def _channels(header: dict[Any, Any], segment: dict[str, Any]) -> Iterator[_Chan
                 name,
                 number,
                 x_column,
+                int(entry("Samples", default=0)),
                 start_ns,
                 float(entry("X0", default=0.0)),
                 np.nan if x_column is not None else float(entry("Delta_X", default=np.nan)),

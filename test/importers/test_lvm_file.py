@@ -8,6 +8,8 @@ import pytest
 
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.extras import missing_extra
+from scara_effmass.importers.force import import_force
+from scara_effmass.settings import ImportSettings
 from test.importers.conftest import NS, force_of, imported, lost_in
 
 HEAD = """LabVIEW Measurement
@@ -87,6 +89,19 @@ class TestFile:
     def test_a_pickle_beside_it_is_not_read(self, tmp_path: Path) -> None:
         (tmp_path / "a.lvm.pkl").write_bytes(b"cos\nsystem\n(S'touch /tmp/never'\ntR.")
         assert len(force_of(imported(write(tmp_path / "a.lvm", text())))) == 3
+
+    @pytest.mark.parametrize("columns", ["No", "One"])
+    @pytest.mark.parametrize("seconds", [(0,), (0, 1)])
+    def test_samples_that_are_missing_at_the_end_are_a_loss(
+        self, tmp_path: Path, columns: str, seconds: tuple[int, ...]
+    ) -> None:
+        content = text(columns=columns, seconds=seconds)
+        path = write(tmp_path / "a.lvm", content)
+        assert import_force(path, ImportSettings())[0].losses() == ()
+        write(path, "\n".join(content.splitlines()[:-1]))
+        (loss,) = import_force(path, ImportSettings())[0].losses()
+        stated = 3 * len(seconds)
+        assert loss == f"{path}: has {stated - 1} of the {stated} samples that it states; the rest is lost"
 
     def test_channels_that_the_columns_do_not_hold_are_no_silent_loss(self, tmp_path: Path) -> None:
         with pytest.raises(BagError, match="2 of its 3 channels are in columns"):
