@@ -120,6 +120,20 @@ def test_reason_is_translated_with_its_words() -> None:
     assert "".join(part for part, _ in phrases(text, "de")) == german
 
 
+@pytest.mark.parametrize(
+    ("contact", "german"),
+    [
+        ("contact 2", "Kontakt 2"),
+        ("contact 2, run.csv", "Kontakt 2, run.csv"),
+        ("contact 2, 300.0 N in run.csv", "Kontakt 2, 300.0 N in run.csv"),
+        ("contact 2, by 11 degrees", "Kontakt 2, um 11 Grad"),
+        ("contact 2, 3 s, 9 N after 0.5 s", "Kontakt 2, 3 s, 9 N nach 0,5 s"),
+    ],
+)
+def test_contacts_that_a_reason_names_are_translated(contact: str, german: str) -> None:
+    assert translated(contact, "de") == german
+
+
 def test_numbers_of_a_text_from_the_code_are_kept() -> None:
     assert translated("too few contacts: 2 of 3", "de") == "zu wenige Kontakte: 2 von 3"
     assert translated("correlation 0.7814 is below 0.95", "en") == "correlation 0.7814 is below 0.95"
