@@ -193,6 +193,7 @@ def _hulls(
     points, hulls = {name: (joint, pose) for name, joint, pose in placed}, dict[str, FloatArray]()
     watched, left_out = watched_links([hull.link for hull in found], settings.contact_links, tree.origin)
     for hull in (hull for hull in found if hull.link in watched):
+        tree.require_short_follower(hull, frames, set(tree.joints) - fixed)
         if hull.link in points:
             hulls[hull.link] = outer_vertices(np.vstack([hull.vertices, points[hull.link][1].translation]))
         else:
@@ -628,6 +629,20 @@ class UrdfTree:
                     else "remove <mimic>, and report the position of this joint in the joint states, too"
                 )
                 raise RobotError(f"{self.origin}: joint {joint}: must not mimic {master}, which moves: {way_out}")
+
+    def require_short_follower(self, hull: LinkHull, frames: Mapping[str, pin.Frame], moved: Collection[str]) -> None:
+        """Raise RobotError for geometry longer than a finger behind a joint that mimics one of those `moved`.
+
+        The model holds the joint, so that the polytope `hull` would not follow.
+        """
+        for joint in self.chain(hull.link):
+            start = frames[self._links_of[joint][1]].placement.translation
+            length = float(np.linalg.norm(hull.vertices - start, axis=1).max())
+            if joint in self._masters and self._leader(joint) in moved and length > FINGER_M:
+                way_out = f"if {hull.link}, {length:.2g} m long, cannot touch a person, leave it out of contact_links"
+                raise RobotError(
+                    f"{self.origin}: joint {joint}: must not mimic {self._leader(joint)}, which moves: {way_out}"
+                )
 
     def drive(self, joint: str) -> tuple[str, float, float]:
         """Return the finger joint that `joint` mimics, the multiplier and the offset; itself if it mimics none."""

@@ -129,6 +129,24 @@ def test_hulls_of_fingers_contain_them_over_their_range(arm: Path) -> None:
     assert np.ptp(robot.hulls["upper_arm"], axis=0) == pytest.approx([0.3, 0.1, 0.1])
 
 
+@pytest.mark.parametrize(("length", "is_short"), [(0.2, True), (0.4, False)])
+def test_rod_that_follows_a_joint_of_the_arm_is_watched_only_if_it_is_short(
+    arm: Path, length: float, *, is_short: bool
+) -> None:
+    box = BOX.format(kind="collision", at=f"{0.5 * length} 0 0", size=f"{length} 0.02 0.02")
+    joint = JOINT.format(name="rod_joint", kind="revolute", parent="upper_arm", child="rod", at=0.0)
+    follows = joint.replace("</joint>", '<mimic joint="joint2"/></joint>')
+    parts = f'<link name="rod">{box}</link>{follows}'
+    arm.write_text(arm.read_text(encoding="utf-8").replace("</robot>", f"{parts}</robot>"), encoding="utf-8")
+    if is_short:
+        assert "rod" in load_robot(arm).hulls
+        return
+    text = "joint rod_joint: must not mimic joint2, which moves: if rod, 0.4 m long, cannot touch a person"
+    with pytest.raises(RobotError, match=text):
+        load_robot(arm)
+    assert "rod" not in load_robot(arm, MonitorSettings(contact_links=("*arm",))).hulls
+
+
 def test_geometry_in_millimetres_is_refused(arm: Path) -> None:
     arm.write_text(arm.read_text(encoding="utf-8").replace('size="0.5 0.1 0.1"', 'size="500 100 100"'))
     assert (
