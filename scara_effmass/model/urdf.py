@@ -320,7 +320,10 @@ def _reduced_model(tree: UrdfTree, fixed: set[str], share: float | None = None) 
     """
     try:
         root = copy.deepcopy(tree.root)
-        for link in root.findall("link"):  # the parser prints messages on geometry, which the model does not need
+        # The parser prints messages on materials and geometry, which the model does not need.
+        for material in root.findall("material"):
+            root.remove(material)
+        for link in root.findall("link"):
             for geometry in (*link.findall("visual"), *link.findall("collision")):
                 link.remove(geometry)
         # A joint may have the name of a link, which Pinocchio cannot reduce.

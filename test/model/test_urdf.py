@@ -388,6 +388,11 @@ def test_wrong_value_is_named(old: str, new: str, named: str | None) -> None:
     assert "\n" not in str(error.value)
 
 
+def test_material_without_colour_is_no_news(capfd: pytest.CaptureFixture[str]) -> None:
+    parse(with_more('<material name="grey"/>'))
+    assert capfd.readouterr().err == ""
+
+
 @pytest.mark.parametrize(
     ("more", "problem"), [(495, "joint '': must have a unique name"), (496, "501 joints: must be")]
 )
