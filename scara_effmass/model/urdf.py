@@ -75,6 +75,7 @@ _WAY_OUT = {
     "sdf": "this is SDF: use the robot's URDF, or convert it with sdformat_urdf, `ros2 run sdformat_urdf` or `gz sdf`",
 }
 """How to get a URDF from another format, by its root element."""
+_XACRO = "must not contain xacro macros: expand them first (xacro FILE > robot.urdf)"
 _SWEEP = np.linspace(0.0, 1.0, 5)
 """Shares of the ranges of a gripper's fingers at which the hulls hold them."""
 _MIN_AXIS_LENGTH = 1e-9
@@ -358,12 +359,14 @@ def read_urdf(text: str, origin: str, locked_joints: Sequence[str]) -> UrdfTree:
     try:
         root = ET.fromstring(text)  # noqa: S314  a robot description is trusted input: the robot runs on it
     except (ET.ParseError, ValueError) as error:
+        if "<xacro:" in text:  # its prefix is often declared nowhere
+            raise RobotError(f"{origin}: {_XACRO}") from None
         raise RobotError(f"{origin}: not XML: {error}") from None
     if root.tag != "robot":
         way_out = f"; {_WAY_OUT[root.tag]}" if root.tag in _WAY_OUT else ""
         raise RobotError(f"{origin}: root element = <{root.tag}>: must be <robot>{way_out}")
     if any("xacro" in element.tag for element in root.iter()):
-        raise RobotError(f"{origin}: must not contain xacro macros: expand them first (xacro FILE > robot.urdf)")
+        raise RobotError(f"{origin}: {_XACRO}")
     joints = root.findall("joint")
     if len(joints) > MAX_JOINTS:
         raise RobotError(f"{origin}: {len(joints)} joints: must be at most {MAX_JOINTS}")

@@ -323,6 +323,7 @@ class TestFixedJoints:
         ("robot", "mujoco", "root element = <mujoco>: must be <robot>; this is MJCF: use the robot's URDF, or convert"),
         ("<robot ", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" ', None),
         ("</robot>", '<x:macro xmlns:x="http://www.ros.org/wiki/xacro" name="m"/></robot>', "xacro"),
+        ("</robot>", '<xacro:property name="a" value="1"/></robot>', "must not contain xacro macros"),
         ('name="j2"', 'name="j1"', "joint 'j1': must have a unique name"),
         ('<joint name="j2"', "<joint", "joint '': must have a unique name"),
         ('<link name="fore"', '<link name="upper"', "link 'upper': must have a unique name"),
