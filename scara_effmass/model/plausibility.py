@@ -70,7 +70,18 @@ def check_inertials(links: Sequence[StatedLink]) -> InertialCheck:
         inertias = next(filter(None, map(triangle_error, heavy)), "")
         if placeholders:
             notes = (f"placeholder inertia, used as stated, which makes the robot heavier: {', '.join(placeholders)}",)
+        elif equal := _equal_tensors(heavy):
+            notes = (f"check the inertias: links of unequal masses have the same one: {', '.join(equal)}",)
     return InertialCheck(masses, coms, inertias, notes)
+
+
+def _equal_tensors(heavy: Sequence[StatedLink]) -> list[str]:
+    """Return the links that share one inertia tensor though their masses differ, if it is that of all but one."""
+    tensors = [link.inertia.tobytes() for link in heavy]
+    tensor, count = Counter(tensors).most_common(1)[0]
+    equal = [link for link, own in zip(heavy, tensors, strict=True) if own == tensor]
+    is_pattern = count >= max(3, len(heavy) - 1) and len({link.mass for link in equal}) > 1
+    return [link.name for link in equal] if is_pattern else []
 
 
 def triangle_error(link: StatedLink) -> str:

@@ -28,6 +28,26 @@ def test_one_plausible_link_makes_the_others_a_note() -> None:
 
 
 @pytest.mark.parametrize(
+    ("masses", "inertias", "text"),
+    [
+        ((4, 3, 2), (0.01, 0.01, 0.01), "a0, a1, a2"),
+        ((4, 3, 2, 1), (0.01, 0.02, 0.01, 0.01), "a0, a2, a3"),
+        ((3, 3, 3), (0.01, 0.01, 0.01), ""),  # modules
+        ((4, 3), (0.01, 0.01), ""),
+        ((5, 4, 3, 2, 1), (0.01, 0.02, 0.03, 0.01, 0.01), ""),
+    ],
+)
+def test_one_tensor_for_links_of_unequal_masses_is_doubted(
+    masses: tuple[float, ...], inertias: tuple[float, ...], text: str
+) -> None:
+    pairs = zip(masses, inertias, strict=True)
+    check = check_inertials([link(f"a{number}", *pair) for number, pair in enumerate(pairs)])
+    note = f"check the inertias: links of unequal masses have the same one: {text}"
+    assert check.notes == ((note,) if text else ())
+    assert check.inertias == ""
+
+
+@pytest.mark.parametrize(
     ("masses", "com", "found"),
     [((3, 3, 3), 0.0, True), ((3, 3, 3, 2), 0.0, True), ((3, 3, 2, 2), 0.0, False), ((3, 3, 3), 0.1, False)],
 )
