@@ -163,8 +163,13 @@ def _too_light(robot: Robot, reach: float) -> str:
 
 
 def _equal_links(robot: Robot) -> str:
-    """Return which links have the same mass and inertia, but other lengths, empty if not three of them."""
+    """Return which links have the same mass and inertia, but other lengths, empty if not three of them.
+
+    Without a frame at its end, the length of the last link is unknown.
+    """
     links = [(name, length, body) for name, length, body in _links(robot) if body.mass > 0.0 and body.inertia.any()]
+    if links and links[-1][0] == robot.joint_names[-1] and not links[-1][1]:
+        del links[-1]
     for _, _, first in links:
         equal = [
             link for link in links if link[2].mass == first.mass and np.array_equal(link[2].inertia, first.inertia)
@@ -196,7 +201,7 @@ def _wrong(robot: Robot, reach: float) -> Iterator[str]:
         yield f"{link} is {length:.4g} m long: must be in metres, not in {unit}"
         reach /= factor
     masses, volume = f"{robot.moving_mass:.4g} kg move at a reach of {reach:.3g} m", max(reach, MIN_REACH_M) ** 3
-    if robot.moving_mass > MAX_DENSITY * volume:
+    if reach and robot.moving_mass > MAX_DENSITY * volume:  # a file may have no frame beyond the first joint
         yield f"{masses}: must be in kilograms, not in grams"
     elif robot.moving_mass + robot.payload_mass < MIN_DENSITY * volume:
         yield f"{masses}: must be in kilograms, not in tonnes, and lengths in metres"

@@ -141,6 +141,19 @@ def test_equal_inertias_of_three_unequal_links_are_placeholders(place: str, equa
     assert (robot.masses_reason, robot.coms_reason, robot.inertias_reason) == (text, text, text)
 
 
+def test_last_of_equal_modules_needs_no_frame_at_its_end() -> None:
+    modules = [link(f"l{i}", 3) for i in range(1, 5)]
+    joints = (joint(f"j{i}", f"l{i - 1}", f"l{i}", axis="0 1 0", place="0 0 0.3") for i in (2, 3, 4))
+    assert robot_of(link("chassis", 60), *modules, ARM[4], *joints).masses_reason == ""
+
+
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_one_axis_without_a_frame_at_its_end_is_not_taken_for_one_in_grams(kind: str) -> None:
+    robot = robot_of(link("rail", 0), link("table", 5), joint("axis", "rail", "table", kind))
+    assert robot.units_reason == ""
+    assert any(note.startswith("check the lengths: reach 0 m") for note in robot.notes)
+
+
 def test_inertia_of_a_link_that_does_not_move_may_be_impossible() -> None:
     base = link("chassis", 60).replace('ixx="0.2"', 'ixx="-0.2"')
     assert robot_of(base, *ARM, contact_points=("tool",)).masses_reason == ""
