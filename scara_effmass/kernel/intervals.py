@@ -16,6 +16,8 @@ INTERVAL_NS = 20_000_000
 """Least duration of an interval [ns]."""
 MIN_STATES = 3
 """Least number of joint states of an interval, both ends included."""
+MAX_TORQUE = 1e9
+"""Torque [N m, N] from which on it is none, as of a driver that does not set it: its square could overflow."""
 MAX_WAITING = 64
 """Largest number of joint states that wait for others, with which they are averaged at once."""
 Q, QD, QDD, TORQUE, LOWEST, HIGHEST = range(6)
@@ -27,7 +29,7 @@ class Intervals:
     """Means of the joint states of n joints, whose positions have `periods` (n,), 0 for none.
 
     Joint states more than `timeout_s` [s] apart, or whose stamps do not increase, are of different intervals, and so
-    are those on both sides of one that is not finite.
+    are those on both sides of one that is not finite, or whose torque is above MAX_TORQUE.
     """
 
     def __init__(self, periods: FloatArray, timeout_s: float) -> None:
@@ -90,7 +92,7 @@ def fill_intervals(
     for row in range(len(stamps)):
         is_finite = True
         for j in range(joints):
-            is_finite &= math.isfinite(q[row, j]) and math.isfinite(qd[row, j]) and math.isfinite(torque[row, j])
+            is_finite &= math.isfinite(q[row, j]) and math.isfinite(qd[row, j]) and abs(torque[row, j]) < MAX_TORQUE
         if not is_finite:
             kept[2] = 0
             continue

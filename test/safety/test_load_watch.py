@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A load that nobody stated, seen in the torques of simulated joint states."""
 
+import math
 import re
 from itertools import pairwise
 from pathlib import Path
@@ -101,6 +102,13 @@ def test_unstated_load_is_found_and_named() -> None:
     assert contact.allowable_speed == 0.0
     assert contact.reason.startswith("the torques show a load of ")
     assert "not the stated 0.00 kg" in contact.reason
+
+
+@pytest.mark.parametrize("value", [math.nan, 1e200, -1e300])
+def test_effort_that_no_drive_has_hides_no_load(value: float) -> None:
+    states = motion(4.0)
+    states.effort[100, 2] = value
+    assert Reason.UNSTATED_LOAD in codes(monitor(), states)
 
 
 def test_clock_that_jumps_back_ends_what_is_known_of_the_load() -> None:
