@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import math
 from bisect import bisect_right
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from matplotlib.figure import Figure
 from pydantic import BaseModel, NonNegativeInt
 
 from scara_effmass.analysis.report import CYCLE, STYLE, figure_text, new_figure
+from scara_effmass.analysis.summary import NUMBER
 from scara_effmass.errors import SettingsError
 from scara_effmass.input_files import read_text
 from scara_effmass.model.robot import Robot
@@ -48,6 +50,8 @@ class Coverage(BaseModel):
     joint_states: NonNegativeInt = 0
     counts: dict[str, list[NonNegativeInt]]
     poses: set[NonNegativeInt] = set()
+    invalid: Counter[str] = Counter()
+    """Number of joint states that are left out, by reason, in which "…" stands for each number."""
     losses: list[str] = []
     """Parts of the recordings that could not be read."""
 
@@ -69,8 +73,10 @@ class Coverage(BaseModel):
 
     def add(self, state: JointState, contacts: Sequence[ContactAssessment]) -> None:
         """Count a joint state with its assessments; an invalid one is left out."""
-        if not all(contact.effective_mass > 0.0 for contact in contacts):
-            return
+        for contact in contacts:
+            if not contact.effective_mass > 0.0:
+                self.invalid[NUMBER.sub("…", contact.reason)] += 1
+                return
         self.joint_states += 1
         position_of = dict(zip(state.names, state.position.tolist(), strict=True))
         pose = 0
@@ -111,6 +117,7 @@ class Coverage(BaseModel):
             self.counts[name] = [sum(counts) for counts in zip(bins, other.counts[name], strict=True)]
         self.joint_states += other.joint_states
         self.poses |= other.poses
+        self.invalid += other.invalid
         self.losses += other.losses
 
     def shares(self) -> dict[str, Any]:

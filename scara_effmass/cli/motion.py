@@ -17,6 +17,7 @@ from scara_effmass.analysis.assessment import Time, assessed_rows, joint_state_t
 from scara_effmass.analysis.coverage import Coverage
 from scara_effmass.analysis.output import check_output_files, check_output_path
 from scara_effmass.analysis.report import figure_files, report_figure, write_report_files
+from scara_effmass.analysis.summary import REASONS_SHOWN
 from scara_effmass.analysis.tables import provenance
 from scara_effmass.bags.files import bag_bytes, find_bags, open_bag
 from scara_effmass.cli.console import print_result, progress_bar, tracked
@@ -142,12 +143,16 @@ def _coverage(args: argparse.Namespace) -> int:
             coverage.extend(counted, path)
     shares = coverage.shares()
     result = {"output": str(args.output), "joint_states": coverage.joint_states, "covered": shares}
+    result |= {"invalid": dict(coverage.invalid.most_common())}
     result |= {"unreadable": unreadable, "losses": coverage.losses}
     text = json.dumps({**result, "coverage": coverage.model_dump(mode="json")}, allow_nan=False)
     figure = report_figure(COVERAGE, f"Coverage of {coverage.robot}", "", coverage.figure())
     write_report_files(args.output, {COUNTS: f"{text}\n"}, [figure], overwrite=args.force)
     lines = [robot_line(dynamics.robot, settings), ("recordings", str(len(coverage.recordings)))]
     lines += [("joint states", f"{coverage.joint_states} valid ones")]
+    lines += [("not valid", f"{count}: {reason}") for reason, count in coverage.invalid.most_common(REASONS_SHOWN)]
+    if len(coverage.invalid) > REASONS_SHOWN:
+        lines += [("not valid", f"for {len(coverage.invalid) - REASONS_SHOWN} other reasons (--json lists them)")]
     lines += [(name, f"{share:.1%} of its bins") for name, share in shares.items() if isinstance(share, float)]
     lines += [(name, f"fastest from {speed:g} m/s on") for name, speed in shares["fastest_bin_from_m_s"].items()]
     lines += [("not read", loss) for loss in coverage.losses]

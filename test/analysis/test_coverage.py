@@ -66,6 +66,16 @@ def test_merged_files_equal_one_run(dynamics: RobotDynamics, first: list[Row], s
     assert all(sum(bins) == once.joint_states for bins in once.counts.values())
 
 
+def test_joint_states_that_are_left_out_are_counted_by_reason(dynamics: RobotDynamics, tmp_path: Path) -> None:
+    coverage, merged = (Coverage.of_robot(dynamics.robot) for _ in "ab")
+    for reason in ("joint2 at 2.1 rad is off", "joint2 at -2.25 rad is off", "joint joint2 is missing"):
+        coverage.add(JointState(1, JOINTS, np.zeros(4), np.zeros(4)), [unknown_contact("tool", reason)])
+    assert coverage.joint_states == 0
+    for _ in range(2):
+        merged.merge(written(coverage, tmp_path))
+    assert merged.invalid == {"joint2 at … rad is off": 4, "joint joint2 is missing": 2}
+
+
 def test_bins_hold_their_values(dynamics: RobotDynamics) -> None:
     coverage = counted(dynamics, [((-2.3736, 0.0, 0.45, 0.0), (1.0, 0.0, 1e-9), 0.05)])
     assert coverage.counts["position joint1"].index(1) == 0

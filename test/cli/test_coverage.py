@@ -4,13 +4,15 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from matplotlib.image import imread
 
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.share import share
+from scara_effmass.values import JointState
 from scara_effmass.wire.message_types import JOINT_STATE
-from test.cli.conftest import START_NS, Cli, Refused
+from test.cli.conftest import JOINTS, START_NS, Cli, Refused
 
 
 def test_counts_of_an_earlier_run_are_added(swing_bag: Path, cli: Cli, refused: Refused, tmp_path: Path) -> None:
@@ -48,6 +50,17 @@ def test_other_file_is_refused(refused: Refused, tmp_path: Path) -> None:
     for content in ("{}", "no JSON", "[1]"):
         (tmp_path / "other.json").write_text(content, encoding="utf-8")
         assert "must be a coverage.json" in refused("coverage", tmp_path / "other.json", "-o", tmp_path / "out")
+
+
+@pytest.mark.usefixtures("unrendered")
+def test_joint_states_that_are_not_valid_are_counted_with_their_reason(cli: Cli, tmp_path: Path) -> None:
+    halves = [(JOINTS[:2], START_NS), (JOINTS[2:], START_NS + 1), (JOINTS, START_NS + 2)]
+    with BagWriter(tmp_path / "a.mcap") as bag:
+        states = (JointState(stamp, names, np.zeros(len(names)), np.zeros(len(names))) for names, stamp in halves)
+        bag.write_joint_states("/joint_states", states)
+    done = cli("coverage", tmp_path / "a.mcap", "-o", tmp_path / "out")
+    lines = [line.split(maxsplit=2)[2] for line in done.stdout.splitlines() if line.startswith("not valid")]
+    assert {"1: joint joint1 is missing", "1: joint joint3 is missing"} <= set(lines)
 
 
 def test_losses_are_listed_also_without_a_valid_joint_state(cli: Cli, tmp_path: Path) -> None:
