@@ -53,13 +53,19 @@ class Motion:
         Raises BagError if they cannot be re-timed.
         """
         names, kinds = states[0].names, ("position",) if from_positions else ("position", "velocity")
-        if not all(s.names == names and {len(getattr(s, kind)) for kind in kinds} == {len(names)} for s in states):
-            problem = "must have the same joints with positions and velocities in all joint states"
-            raise BagError(f"{origin}: {problem}; {FROM_POSITIONS}")
+        if other := next((state.names for state in states if state.names != names), None):
+            rule = "must have the same joints in the same order in all joint states"
+            raise BagError(f"{origin}: {rule}, not {', '.join(names)} and {', '.join(other)}")
+        if not all(len(getattr(state, kind)) == len(names) for state in states for kind in kinds):
+            raise BagError(f"{origin}: must have positions and velocities in all joint states; {FROM_POSITIONS}")
         stamps = [state.stamp_ns for state in states]
         values = [np.array([getattr(state, kind) for state in states]) for kind in kinds]
-        if not (np.isfinite(values).all() and min(np.diff(stamps)) > 0):
-            raise BagError(f"{origin}: must have finite values and increasing header stamps in all joint states")
+        if not np.isfinite(values).all():
+            raise BagError(f"{origin}: must have finite values in all joint states")
+        repeated = np.flatnonzero(np.diff(stamps) <= 0)
+        if len(repeated):
+            rule = "must have increasing header stamps in all joint states"
+            raise BagError(f"{origin}: {rule}: {len(repeated)} of {len(stamps)} are not later than the one before")
         self.time = np.array([stamp_ns - stamps[0] for stamp_ns in stamps]) / 1e9
         self.q = values[0]
         self.qd = np.gradient(self.q, self.time, axis=0) if from_positions else values[1]

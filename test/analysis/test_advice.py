@@ -214,11 +214,12 @@ def test_factors_that_were_found_stay_where_others_take_too_many_steps(
 
 def test_states_that_cannot_be_re_timed_are_refused(motion: Motion) -> None:
     first, second = motion.states[:2]
-    for bad in (
-        second._replace(velocity=np.zeros(0)),
-        second._replace(names=JOINTS[::-1]),
-        second._replace(position=np.full(4, np.nan)),
-        second._replace(stamp_ns=first.stamp_ns),
+    both = f"{', '.join(JOINTS)} and {', '.join(JOINTS[::-1])}"
+    for bad, rule, hint in (
+        (second._replace(velocity=np.zeros(0)), "positions and velocities", "; --velocity from-positions takes those"),
+        (second._replace(names=JOINTS[::-1]), "the same joints in the same order", f", not {both}$"),
+        (second._replace(position=np.full(4, np.nan)), "finite values", "$"),
+        (second._replace(stamp_ns=first.stamp_ns), "increasing header stamps", ": 1 of 2 are not later than the one"),
     ):
-        with pytest.raises(BagError, match=r"^run: must have .* in all joint states"):
+        with pytest.raises(BagError, match=rf"^run: must have {rule} in all joint states{hint}"):
             Motion([first, bad], "run")
