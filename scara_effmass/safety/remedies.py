@@ -6,6 +6,7 @@ from scara_effmass.codes import Reason
 ROBOT_FILE = "correct the robot file; `scara-effmass doctor --robot FILE` names the joint and the value"
 DRIVER = "correct the driver that publishes the joint states"
 STAMPS = "let one node alone publish the joint states, with the time of each measurement as its stamp"
+NO_STAMPS = f"{STAMPS}; offline, `--time log` takes the recorder's time"
 OWN_CLOCK = "offline, `--time header` assesses a recording on its own clock"
 LATE = (
     "synchronize the clocks of robot and monitor; if both run on one machine, free it of other load; for the stamps of "
@@ -42,10 +43,10 @@ REMEDIES = {
     Reason.NO_VELOCITY: VELOCITY,
     Reason.LONE_POSITION: "wait for the next joint state; publish them without gaps above `timeout`",
     Reason.SECOND_PUBLISHER: STAMPS,
-    Reason.ZERO_STAMP: f"{STAMPS}; offline, `--time log` takes the recorder's time",
+    Reason.ZERO_STAMP: NO_STAMPS,
     Reason.FUTURE_STAMP: EARLY,
     Reason.OLD_STAMP: LATE,
-    Reason.REPEATED_STAMP: STAMPS,
+    Reason.REPEATED_STAMP: NO_STAMPS,
     Reason.BACKWARD_STAMP: STAMPS,
     Reason.COARSE_CLOCK: "publish /clock more often (`ros2 bag play --clock 100`), or raise `timeout`",
     Reason.TWO_PUBLISHERS: "let one node alone publish on the topic that the reason names",

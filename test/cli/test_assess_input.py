@@ -111,6 +111,18 @@ def test_odd_recording_is_assessed_as_the_plain_one_and_the_output_says_how(
     assert f"{subject:<16}{text}" == notes[0]
 
 
+def test_remedy_for_coarse_stamps_gives_the_verdicts_of_the_plain_recording(
+    plain: list[dict[str, Any]], changed_bag: MakeBag, cli: Cli, tmp_path: Path
+) -> None:
+    coarse = changed_bag("coarse.mcap", lambda s: s._replace(stamp_ns=s.stamp_ns // 10_000_000 * 10_000_000))
+    done = cli("assess", coarse, "-o", tmp_path / "a.csv", "--json")
+    result = json.loads(done.stdout)
+    assert next(iter(result["unknown_reasons"])) == "the header stamp is repeated"
+    assert result["remedy"].endswith("; offline, `--time log` takes the recorder's time")
+    assert cli("assess", coarse, "-o", tmp_path / "b.parquet", "--time", "log").returncode == 0
+    assert rows_of(tmp_path / "b.parquet") == plain
+
+
 def test_skew_of_the_clock_is_named_with_its_size(changed_bag: MakeBag, cli: Cli, tmp_path: Path) -> None:
     ahead = changed_bag("ahead.mcap", lambda state: state._replace(stamp_ns=state.stamp_ns + SKEW_NS))
     done = cli("assess", ahead, "-o", tmp_path / "a.csv")
