@@ -124,7 +124,7 @@ def force_topics(bag: Bag) -> list[Topic]:
 
 
 def check_other_forces(bag: Bag, chosen: Topic, settings: ImportSettings, detection: DetectionSettings) -> None:
-    """Raise BagError if the `settings` state no topic, and another one than the `chosen` one has contacts."""
+    """Raise BagError if the `settings` state no topic, and another one than the `chosen` one has force."""
     for topic in [] if settings.topic else force_topics(bag):
         if topic.name == chosen.name:
             continue
@@ -133,7 +133,7 @@ def check_other_forces(bag: Bag, chosen: Topic, settings: ImportSettings, detect
         peaks = [max(contact.peak_force, contact.held_force) for contact in contacts]
         peaks += [item.peak_force for item in detector.left_out]
         if peaks:
-            rule = f"must be {chosen.name} or {topic.name}, which has contacts, too (up to {max(peaks):.1f} N)"
+            rule = f"must be {chosen.name} or {topic.name}, which has up to {max(peaks):.1f} N, too"
             raise BagError(f"{bag.path}: --force-topic is empty: {rule}")
 
 

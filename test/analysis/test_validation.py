@@ -580,7 +580,7 @@ def test_contacts_on_another_force_topic_require_a_choice(
     if is_refused:
         beside = replace(SETTINGS, force_from=(path,), force_offset=0.0)
         for paths, settings in ((path, SETTINGS), (campaign[0], beside)):
-            with pytest.raises(BagError, match=r"must be /force or /force/ai1, which has contacts, too \(up to \d+"):
+            with pytest.raises(BagError, match=r"must be /force or /force/ai1, which has up to \d+.* N, too"):
                 validate([paths], dynamics, settings)
     stated = SETTINGS if not is_refused else replace(SETTINGS, force=ImportSettings(topic="/force"))
     assert len(validate([path], dynamics, stated).result.impacts) == 1
