@@ -52,6 +52,8 @@ Force = Annotated[float, Field(ge=0.0, le=MAX_FORCE_N)]
 MAX_SPEED_M_S = 100.0
 """A larger speed was entered in mm/s."""
 Speed = Annotated[float, Field(gt=0.0, le=MAX_SPEED_M_S)]
+Stiffness = Annotated[float, Field(ge=1e3, le=1e7)]
+"""Stiffness of a spring [N/m]; one of 75 was entered in N/mm, one of 75e6 was converted twice."""
 Area = Annotated[float, Field(ge=1e-8, le=0.1)]
 """Contact area [m2]."""
 Text = Annotated[str, Field(min_length=1)]
@@ -113,7 +115,7 @@ class Instrument(FrozenSettings):
     certificate: Text | None = optional("number of the calibration certificate")
     calibration_date: date | None = stated("date of the calibration, YYYY-MM-DD")
     calibration_due: date | None = stated("last day on which the calibration is valid, YYYY-MM-DD")
-    stiffness_n_m: Positive | None = stated("stiffness of its spring [N/m]; 75 N/mm is 75000")
+    stiffness_n_m: Stiffness | None = stated("stiffness of its spring [N/m]; 75 N/mm is 75000")
     damping: Text | None = stated('its damping, as "70 Shore A, 21 mm", "12 N s/m" or "none"')
     fixed: bool | None = stated("true: fixed to the ground; false: free to move")
     moving_mass_kg: Positive | None = optional("mass of a free device [kg]; null if it is fixed")

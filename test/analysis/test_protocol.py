@@ -638,6 +638,8 @@ def test_an_edited_evaluation_does_not_count(folder: Path) -> None:
     [
         ("- 1", "must hold identity, instruments, tests"),
         ("identity: {serial: 1}", "identity.serial: unknown: must be"),
+        ("instruments: [{id: a, stiffness_n_m: 75}]", "stiffness_n_m = 75: must be greater than or equal to 1000"),
+        ("instruments: [{id: a, stiffness_n_m: 75e+6}]", "stiffness_n_m = 75000000.0: must be less than or equal"),
         ("tests: [{id: a}, {id: a}]", "id must be unique, but there are a, a"),
         ("tests: [{id: a, point: {body_region: face}}]", "the standard permits no contact"),
         ("tests: [{id: a, point: {contact_area_m2: 1}}]", "contact_area_m2 = 1: must be less than or equal to 0.1"),
