@@ -802,6 +802,6 @@ def test_force_and_impacts_that_were_recorded_twice_count_once(tmp_path: Path, k
     messages = [Message("/force", kind, block.stamp_ns, text) for block, text in zip(blocks, data, strict=True)]
     later = [message._replace(log_time_ns=message.log_time_ns + 150 * MS) for message in messages]
     with open_bag(write_mcap(tmp_path / "a.mcap", [*messages, *later])) as bag:
-        read_all = bag.force_blocks if kind == FORCE_BLOCK else bag.impacts
-        assert [item.stamp_ns for item in read_all("/force")] == [block.stamp_ns for block in blocks]
+        read_all = bag.timed_force_blocks if kind == FORCE_BLOCK else bag.timed_impacts
+        assert [item.stamp_ns for _, item in read_all("/force")] == [block.stamp_ns for block in blocks]
         assert bag.losses == (f"{bag.path}: /force: left out: recorded twice (5 times)",)
