@@ -101,10 +101,10 @@ class AssessedStates:
         state = self.state(row)
         return {} if state is None else dict(zip(state.names, state.position.tolist(), strict=False))
 
-    def rows(self) -> Iterator[AssessedState]:
-        """Yield the joint states and decisions one by one."""
+    def rows(self, contacts: Sequence[int] | None = None) -> Iterator[AssessedState]:
+        """Yield the joint states and decisions one by one, with the `contacts` of these numbers, by default all."""
         for row, (log_time_ns, decision) in enumerate(
-            zip(self.log_time_ns.tolist(), self.assessments.decisions(), strict=True)
+            zip(self.log_time_ns.tolist(), self.assessments.decisions(contacts), strict=True)
         ):
             yield AssessedState(log_time_ns, self.state(row), decision)
 
@@ -142,10 +142,16 @@ def assess_joint_states(
 
 
 def assessed_rows(
-    bag: Bag, topic: str, monitor: Monitor, time: Time = Time.LIVE, velocities: RecordedVelocities | None = None
+    bag: Bag,
+    topic: str,
+    monitor: Monitor,
+    time: Time = Time.LIVE,
+    velocities: RecordedVelocities | None = None,
+    contacts: Sequence[int] | None = None,
 ) -> Iterator[AssessedState]:
-    """Yield what `assess_joint_states` does, one joint state after another."""
-    return chain.from_iterable(states.rows() for states in assess_joint_states(bag, topic, monitor, time, velocities))
+    """Yield what `assess_joint_states` does, one joint state after another, as `AssessedStates.rows`."""
+    batches = assess_joint_states(bag, topic, monitor, time, velocities)
+    return chain.from_iterable(states.rows(contacts) for states in batches)
 
 
 class _Part(NamedTuple):

@@ -197,10 +197,12 @@ def validate_recording(
             validator.runs.begin(info if mass is None else info._replace(obstacle_mass=mass), 0)
         detector = Detector(settings.detection)
         share, force_ns, monitor = 1.0 / count, 0, Monitor(dynamics, settings.monitor)
+        contacts = _validated(monitor, defaults.contact_point)
+        validator.know(dynamics.contact_points)
         before: ForceBlock | None = None
         records: tuple[Iterator[AssessedState | Measurement], ...] = (
             measured,
-            assessed_rows(bag, states, monitor, settings.time),
+            assessed_rows(bag, states, monitor, settings.time, contacts=contacts),
         )
         for item in merge(*records, key=lambda record: record.log_time_ns):
             if isinstance(item, AssessedState):
@@ -253,6 +255,15 @@ def with_motion(validation: Validation, dynamics: RobotDynamics, settings: Valid
     return validation._replace(by_motion=by_motion, no_motion=no_motion)
 
 
+def _validated(monitor: Monitor, point: str) -> list[int]:
+    """Return the number of the contact that is validated, `point` or the first one; none if there is no `point`.
+
+    To build those of all links takes longer than to compute them.
+    """
+    names = monitor.dynamics.contact_points
+    return [names.index(point or names[0])] if not point or point in names else []
+
+
 def _on_joint_clock(
     measured: Sequence[Measurement],
     bag: Bag,
@@ -263,11 +274,12 @@ def _on_joint_clock(
     """Return what was `measured` by another clock, with stamps and log times of the joint states. Raises BagError."""
     stamps_ns, lags_ns, velocity = array("q"), array("q"), array("d")
     point = settings.validator.contact_point
-    for item in assessed_rows(bag, recording.joint_state_topic, monitor, settings.time):
+    contacts = _validated(monitor, point)
+    for item in assessed_rows(bag, recording.joint_state_topic, monitor, settings.time, contacts=contacts):
         if item.decision.stamp_ns <= (stamps_ns[-1] if stamps_ns else 0):
             continue
-        contacts, stamp_ns = item.decision.contacts, item.decision.stamp_ns
-        contact = next((one for one in contacts if not point or one.contact_point == point), None)
+        stamp_ns = item.decision.stamp_ns
+        contact = next((one for one in item.decision.contacts if not point or one.contact_point == point), None)
         if contact is not None and (contact.verdict is not Verdict.UNKNOWN or any(contact.direction)):
             stamps_ns.append(stamp_ns)
             lags_ns.append(item.log_time_ns - stamp_ns)

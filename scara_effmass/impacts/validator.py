@@ -173,6 +173,10 @@ class Validator:
         self._min_force = self._max_force = self._stated_uncertainty = 0.0
         self._past_problems = "", ""
 
+    def know(self, contact_points: Iterable[str]) -> None:
+        """Name contact points whose states may not be added."""
+        self._contact_points.update(contact_points)
+
     def add_decision(self, decision: Decision, received_ns: int) -> list[ValidatedImpact]:
         """Add a decision of the monitor that arrived at `received_ns` (0: unknown); return newly validated impacts."""
         contact = self._selected(decision)

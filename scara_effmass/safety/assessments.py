@@ -103,16 +103,16 @@ class Assessments:
         places = ((name, shape, PLACES[name]) for name, shape in FIELDS.items())
         return {name: columns[at : at + shape[0]] if shape else columns[at] for name, shape, at in places}
 
-    def decision(self, row: int) -> Decision:
-        """Return the assessment of all contacts at joint state number `row`."""
-        state = self.states[row]
+    def decision(self, row: int, contacts: Sequence[int] | None = None) -> Decision:
+        """Return the assessment at joint state number `row` of the `contacts` with these numbers, by default of all."""
+        state, chosen = self.states[row], range(len(self.points)) if contacts is None else contacts
         return Decision(
             stamp_ns=int(state["stamp_ns"]),
             input_age=float(state["age"]),
             velocity_delay=float(state["delay"]),
             contact_normal=self.normal if state["is_admitted"] else "",
             watchdog=bool(state["is_watchdog"]),
-            contacts=tuple(self._contact(row, point) for point in range(len(self.points))),
+            contacts=tuple(self._contact(row, point) for point in chosen),
             allowable_speed=float(state["allowable_speed"]),
             speed_scaling=float(state["speed_scaling"]),
             assumptions=self.assumptions.assumed,
@@ -120,9 +120,9 @@ class Assessments:
             scope=self.texts.scope,
         )
 
-    def decisions(self) -> Iterator[Decision]:
-        """Yield the assessment of all contacts at each joint state."""
-        return (self.decision(row) for row in range(len(self)))
+    def decisions(self, contacts: Sequence[int] | None = None) -> Iterator[Decision]:
+        """Yield the `decision` at each joint state."""
+        return (self.decision(row, contacts) for row in range(len(self)))
 
     def _contact(self, row: int, point: int) -> ContactAssessment:
         numbers: list[float] = self.numbers[row, point].tolist()
