@@ -271,6 +271,20 @@ class ForceBlock(NamedTuple):
     tare_stamp_ns: int = 0
     relative_uncertainty: float = 0.0
 
+    def lost_since(self, before: "ForceBlock | None") -> int:
+        """Return the number of samples lost between the block `before` and this one.
+
+        None: there is none, and the first block may count samples that were lost before the recording began. If the
+        sample numbers restart, only the stamps show what is missing; it is at least one.
+        """
+        if before is None:
+            return 0
+        missing = self.first_sample - before.first_sample - len(before.force)
+        if missing < 0:
+            gap_s = (self.stamp_ns - before.stamp_ns) / 1e9 - len(before.force) / before.sample_rate
+            missing = max(1, round(gap_s * before.sample_rate))
+        return max(self.lost_samples, missing)
+
 
 class Impact(NamedTuple):
     """One contact detected in the force signal, its peak and what stayed: `Impact.msg`, field by field."""

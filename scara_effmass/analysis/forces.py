@@ -81,7 +81,7 @@ def _samples(blocks: Sequence[ForceBlock]) -> tuple[NDArray[np.int64], FloatArra
     """Return stamps [ns] and forces [N] of `blocks` (n,), with one NaN in each gap."""
     stamps, forces = [], []
     for before, block in zip((None, *blocks), blocks, strict=False):
-        if lost_before(block, before):
+        if block.lost_since(before):
             stamps.append(np.array([block.stamp_ns], np.int64))
             forces.append(np.array([NAN]))
         stamps.append(block.stamp_ns + np.rint(np.arange(len(block.force)) / block.sample_rate * NS).astype(np.int64))
@@ -89,19 +89,9 @@ def _samples(blocks: Sequence[ForceBlock]) -> tuple[NDArray[np.int64], FloatArra
     return np.concatenate(stamps), np.concatenate(forces)
 
 
-def lost_before(block: ForceBlock, before: ForceBlock | None) -> int:
-    """Return the number of samples lost between the block `before` and `block`.
-
-    None: there is none, and the first block may count samples that were lost before the recording began.
-    """
-    return (
-        0 if before is None else max(block.lost_samples, block.first_sample - before.first_sample - len(before.force))
-    )
-
-
 def lost_samples(block: ForceBlock, before: ForceBlock | None) -> int:
-    """Return `lost_before`, and the samples of `block` that are not finite."""
-    return lost_before(block, before) + int(np.count_nonzero(~np.isfinite(block.force)))
+    """Return the samples lost since `before`, and those of `block` that are not finite."""
+    return block.lost_since(before) + int(np.count_nonzero(~np.isfinite(block.force)))
 
 
 def detected_impacts(values: Iterable[ForceBlock | Impact], detector: Detector | None = None) -> tuple[Impact, ...]:
@@ -327,7 +317,7 @@ def file_traces(
         is_finite = np.isfinite(block.force)
         is_doubtful = ~is_finite
         is_doubtful[block.saturated_samples] = True
-        is_doubtful[:1] |= lost_before(block, before) > 0
+        is_doubtful[:1] |= block.lost_since(before) > 0
         before, relative = block, max(relative, block.relative_uncertainty)
         ac_coupled |= AC_COUPLED in block.source
         stamp_ns, seconds = block.stamp_ns + round(offset_s * NS), np.arange(len(block.force)) / block.sample_rate

@@ -49,7 +49,6 @@ def _ordered(blocks: Iterator[ForceBlock], origin: str) -> Iterator[ForceBlock]:
             continue
         sample_rate = sample_rate or block.sample_rate
         _check_block(block, sample_rate, origin)
-        lost = 0
         if last is not None:
             end_ns = last.stamp_ns + len(last.force) * NS / sample_rate
             if block.stamp_ns < end_ns - MAX_OVERLAP_NS:
@@ -57,12 +56,8 @@ def _ordered(blocks: Iterator[ForceBlock], origin: str) -> Iterator[ForceBlock]:
                 raise BagError(f"{origin}: time goes back, {stamps}; must be recorded without a clock step")
             if block.stamp_ns <= last.stamp_ns:
                 continue
-            lost = block.first_sample - last.first_sample - len(last.force)
-            if lost < 0:  # the measurement was restarted, so only the stamps show what is missing
-                lost = max(0, round((block.stamp_ns - end_ns) / NS * sample_rate))
-            lost = max(lost, block.lost_samples)
+        yield block._replace(lost_samples=block.lost_since(last))
         last = block
-        yield block._replace(lost_samples=lost)
 
 
 def _check_block(block: ForceBlock, sample_rate: float, origin: str) -> None:

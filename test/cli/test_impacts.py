@@ -138,6 +138,15 @@ def test_samples_that_are_not_finite_are_lost(cli: Cli, tmp_path: Path) -> None:
     assert (recording["lost_samples"], recording["complete"]) == (5 * ((number + 1) // 2), False)
 
 
+def test_time_without_samples_is_lost_where_their_numbers_restart(cli: Cli, tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "restarted") as writer:
+        for number, stamp_s in enumerate((0, 1, 5, 6)):
+            block = ForceBlock(10**18 + stamp_s * 10**9, "cell", 1000 * (number % 2), 1000.0, np.zeros(1000))
+            writer.write("/force", FORCE_BLOCK, block.stamp_ns + 10**9, force_block_message(block))
+    (recording,) = json.loads(cli("impacts", tmp_path / "restarted", "--json").stdout)["recordings"]
+    assert (recording["lost_samples"], recording["complete"]) == (3000, False)
+
+
 def test_every_force_topic_is_listed(cli: Cli, tmp_path: Path) -> None:
     with open_bag(BAGS / "campaign" / "300_-200_2390g_1") as bag, BagWriter(tmp_path / "two") as writer:
         for message in bag.messages(["/force"]):
