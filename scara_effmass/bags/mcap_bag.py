@@ -96,6 +96,13 @@ def records(stream: IO[bytes], start: int = len(MAGIC)) -> Iterator[Record]:
         start += size
 
 
+def stored_metadata(file: IO[bytes]) -> Iterator[Metadata]:
+    """Yield the metadata records of a file. Raises one of `DAMAGE` for a damaged one."""
+    for record in records(file):
+        if record.opcode == Opcode.METADATA:
+            yield Metadata.read(ReadDataStream(BytesIO(record.content(file))))
+
+
 def chunk_records(content: bytes, *, is_cut: bool = False) -> bytes:
     """Return the uncompressed records of a chunk; of a cut chunk, the records before the cut.
 

@@ -2,6 +2,7 @@
 """Repair incomplete bags: make index, summary and metadata from the readable content."""
 
 import os
+from collections import deque
 from collections.abc import Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
@@ -10,7 +11,6 @@ from secrets import token_hex
 from typing import Any
 
 from mcap.opcode import Opcode
-from mcap.reader import SeekingReader
 
 from scara_effmass.bags.batches import LossLog
 from scara_effmass.bags.files import (
@@ -84,9 +84,12 @@ def repair(path: Path) -> RepairReport:
 
 def _repair_bag(bag: Path) -> RepairReport:
     is_folder = bag.is_dir()
-    paths = [path for path in bag_files(bag) if path.suffix.lower() == ".mcap"] if is_folder else [bag]
-    if not paths:
+    paths = bag_files(bag) if is_folder else [bag]
+    others = [path for path in paths if is_folder and path.suffix.lower() != ".mcap"]
+    if len(others) == len(paths):
         raise BagError(f"{bag}: contains no .mcap file; only MCAP bags can be repaired")
+    if others:
+        raise BagError(f"{others[0]}: must be decompressed or moved away first, as metadata.yaml will name .mcap files")
     repaired: list[tuple[FileRepair, BagFile]] = []
     failed: list[str] = []
     for path in paths:
@@ -144,6 +147,7 @@ def _complete_file(path: Path) -> BagFile | None:
     with open_mcap(path) as file:
         try:
             summary = read_index(file)
+            deque(stored_metadata(file), maxlen=0)  # of which nothing else reads all
         except DAMAGE:
             return None
         stored = [record.start - RECORD_HEAD.size for record in records(file) if record.opcode == Opcode.CHUNK]

@@ -137,6 +137,17 @@ class TestFile:
                 assert len(list(reader.messages())) == len(after)
         assert names(tmp_path) == ["a.mcap"]
 
+    def test_loses_damaged_metadata_and_says_so(self, tmp_path: Path) -> None:
+        folder = recorded(tmp_path / "bag", files=1)
+        path = folder / "bag_0.mcap"
+        whole = path.read_bytes()
+        path.write_bytes(whole.replace(b"relative_file_paths", b"\x90elative_file_paths", 1))
+        (folder / "metadata.yaml").unlink()
+        (file,) = repair(folder).files
+        assert file.lost == (f"{path}: a damaged record is lost",)
+        assert (file.messages, file.kept_original) == (4, folder / "bag_0.mcap.damaged")
+        assert repair(folder).intact
+
     def test_keeps_what_is_not_a_message_too(self, tmp_path: Path) -> None:
         path = write(tmp_path / "a.mcap")
         repair(cut(path, path.stat().st_size - 40))
