@@ -22,7 +22,16 @@ from scara_effmass.bags.files import (
     named_files,
     read_metadata,
 )
-from scara_effmass.bags.mcap_bag import DAMAGE, RECORD_HEAD, McapCopy, McapFile, open_mcap, read_index, records
+from scara_effmass.bags.mcap_bag import (
+    DAMAGE,
+    RECORD_HEAD,
+    McapCopy,
+    McapFile,
+    open_mcap,
+    read_index,
+    records,
+    stored_metadata,
+)
 from scara_effmass.bags.recorder import losses_custom_data
 from scara_effmass.bags.writer import BagFile, is_being_written, sync_folder, write_metadata
 from scara_effmass.errors import BagError, OutputError
@@ -191,7 +200,7 @@ def _recorded_losses(files: Sequence[FileRepair]) -> dict[str, str]:
     losses: dict[str, str] = {}
     for repaired in files:
         with repaired.path.open("rb") as file:
-            for record in SeekingReader(file).iter_metadata():
+            for record in stored_metadata(file):
                 if record.name == LOSSES_RECORD:
                     losses = record.metadata
     with suppress(ValueError, RecursionError):

@@ -360,6 +360,18 @@ class TestFolder:
         assert repair(folder).intact
 
 
+def test_a_folder_with_compressed_files_beside_the_last_one_is_left_alone(tmp_path: Path) -> None:
+    folder = recorded(tmp_path / "bag", files=2)
+    (folder / "metadata.yaml").unlink()
+    first, last = folder / "bag_0.mcap", folder / "bag_1.mcap"
+    first = first.rename(f"{first}.zstd")
+    cut(last, 600)
+    with pytest.raises(BagError, match=f"^{first}: must be decompressed or moved away first, as "):
+        repair(folder)
+    assert names(folder) == ["bag_0.mcap.zstd", "bag_1.mcap"]
+    assert last.stat().st_size == 600
+
+
 def test_a_pipe_is_refused_and_does_not_block(tmp_path: Path) -> None:
     pipe = tmp_path / "run_0.mcap"
     os.mkfifo(pipe)
