@@ -124,10 +124,11 @@ class DaqNode(LifecycleBase[NodeSettings]):
                 return
 
     def deactivate(self) -> None:
-        """Stop the acquisition."""
+        """Stop the acquisition, and publish the contacts that have not ended."""
         if self._acquisition is not None:
             self._acquisition.stop()
             self._acquisition = None
+            self._finish_detection()
         self.publish_last(Reason.NONE)
 
     def publish_last(self, reason: Reason, detail: str = "") -> None:  # noqa: ARG002 - impacts have none
@@ -192,9 +193,13 @@ class DaqNode(LifecycleBase[NodeSettings]):
         if acquisition.ended:
             self._on_end(acquisition.statistics().reason)
 
+    def _finish_detection(self) -> None:
+        if self.context.ok():
+            for output in self._outputs:
+                self._publish_impacts(output, output.detector.finish())
+
     def _on_end(self, losses: str) -> None:
-        for output in self._outputs:
-            self._publish_impacts(output, output.detector.finish())
+        self._finish_detection()
         self._diagnostics.report()
         if not any(channel.samples for channel in self._signal.channels):
             raise DaqError(f"{self._source.description}: has no usable sample; must have finite numbers")

@@ -240,6 +240,32 @@ def test_rebounds_push_no_primary_impact_out_of_a_queue_of_10(
     assert process.returncode == 0
 
 
+def test_contact_that_lasts_at_the_end_of_the_process_is_published(
+    new_harness: Callable[..., NodeHarness], tmp_path: Path
+) -> None:
+    force = np.random.default_rng(3).normal(0.0, 0.1, 2 * int(RATE))
+    force[-int(0.2 * RATE) :] += 300.0
+    begin_ns = 1_800_000_000 * S
+    blocks = [
+        Block(begin_ns, "cell", 0, RATE, force, simulated=True),
+        Block(begin_ns + 1000 * S, "cell", force.size, RATE, force[:100], lost_samples=1, simulated=True),
+    ]
+    with BagWriter(tmp_path / "held.mcap") as bag:
+        for block in blocks:
+            bag.write("/force", FORCE_BLOCK, block.stamp_ns + 2 * S, force_block_message(block))
+    harness = new_harness(name="daq")
+    topics = ForceTopics(harness)
+    source = ("-p", "source:=bag", "-p", f"bag.path:={tmp_path / 'held.mcap'}")
+    process = harness.start("--ros-args", *source, command=[str(EXECUTABLE)])
+    harness.spin_until(lambda: topics.blocks)
+    assert not topics.impacts
+    harness.process_may_end = True
+    process.terminate()
+    harness.spin_until(lambda: topics.impacts)
+    impact = decode_impact(topics.impacts[0])
+    assert (impact.incomplete, round(impact.peak_force, -1)) == (True, 300.0)
+
+
 def test_stuck_subscriber_does_not_delay_others(new_harness: Callable[..., NodeHarness]) -> None:
     harness = start_node(new_harness, *SIM)
     with ros_node("asleep", domain=harness.domain) as asleep:
