@@ -17,7 +17,7 @@ import subprocess
 import sys
 import threading
 import traceback
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import cache
 from importlib import import_module
@@ -27,6 +27,7 @@ from typing import Any
 
 NODES = ("monitor", "daq", "speed_scaling", "validator", "visualization")
 SCRIPTS = {e.name: e for e in entry_points(group="console_scripts") if e.value.startswith("scara_effmass.")}
+SCRIPT_FOLDERS = {Path(sys.executable).parent, Path(sys.prefix, "lib", "scara_effmass")}
 MODULE = (sys.executable, "-m", "scara_effmass")
 READ_AT_IMPORT = ("LD_", "NUMBA_", "OMP_", "OPENBLAS_", "PATH", "PYTHON", "XDG_CACHE_HOME", "HOME")
 AT_START = dict(os.environ)
@@ -37,7 +38,7 @@ PR_SET_CHILD_SUBREAPER = 36
 def can_fork(command: list[str], environment: Mapping[str, str]) -> bool:
     """Return whether a fork does what `command` does, with what libraries read when they are imported."""
     is_known = tuple(command[:3]) == MODULE or (
-        Path(command[0]).parent == Path(sys.executable).parent and Path(command[0]).name in SCRIPTS
+        Path(command[0]).parent in SCRIPT_FOLDERS and Path(command[0]).name in SCRIPTS
     )
     names = {name for name in {*environment, *os.environ} if name.startswith(READ_AT_IMPORT)}
     return is_known and all(environment.get(name) == AT_START.get(name) for name in names)
@@ -57,13 +58,10 @@ class Forked(subprocess.Popen[str]):
     """A process that the server forks; commands that it does not know start as usual."""
 
     def _execute_child(self, args: Any, executable: Any, preexec_fn: Any, *more: Any) -> None:  # noqa: ANN401
-        command, environment = [str(word) for word in args], more[3] if more[3] is not None else os.environ
-        if preexec_fn or not can_fork(command, environment):
+        request, streams = as_request(args, more)
+        if preexec_fn or not can_fork(request["command"], request["environment"]):
             super()._execute_child(args, executable, preexec_fn, *more)  # type: ignore[misc]
             return
-        _, _, folder, _, _, _, _, p2cread, p2cwrite, c2pread, c2pwrite, errread, errwrite, *_ = more
-        request = {"command": command, "environment": dict(environment), "folder": str(folder or Path.cwd())}
-        streams = [max(p2cread, 0), c2pwrite if c2pwrite >= 0 else 1, errwrite if errwrite >= 0 else 2]
         server, _ = _server()
         # The fork becomes a child of this process. Other orphans must not, since nothing here waits for them.
         ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1)
@@ -71,7 +69,37 @@ class Forked(subprocess.Popen[str]):
         self.pid = int(server.recv(64))
         ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 0)
         self._child_created = True
-        self._close_pipe_fds(p2cread, p2cwrite, c2pread, c2pwrite, errread, errwrite)  # type: ignore[attr-defined]
+        self._close_pipe_fds(*more[7:13])  # type: ignore[attr-defined]
+
+
+def as_request(args: Any, more: Sequence[Any]) -> tuple[dict[str, Any], list[int]]:  # noqa: ANN401
+    """Return what the fork has to do, and its standard streams, from the arguments of `_execute_child`."""
+    _, _, folder, environment, _, _, _, p2cread, _, _, c2pwrite, _, errwrite, _, _, _, _, _, new_session, *_ = more
+    request = {
+        "command": [str(word) for word in args],
+        "environment": dict(os.environ if environment is None else environment),
+        "folder": str(folder or Path.cwd()),
+        "new_session": new_session,
+    }
+    return request, [max(p2cread, 0), c2pwrite if c2pwrite >= 0 else 1, errwrite if errwrite >= 0 else 2]
+
+
+def fork_child(self: Any, args: Any, executable: Any, preexec_fn: Any, *more: Any) -> None:  # noqa: ANN401
+    """Start a child of a fork as a fork of that one, unless it has other threads, as those of DDS."""
+    if len([*Path("/proc/self/task").iterdir()]) > 1:
+        subprocess.Popen._execute_child(self, args, executable, preexec_fn, *more)  # type: ignore[attr-defined]  # noqa: SLF001
+        return
+    request, streams = as_request(args, more)
+    sys.stdout.flush()
+    self.pid = os.fork()
+    if self.pid == 0:
+        for number, stream in enumerate(streams):
+            os.dup2(stream, number)
+        sys.stdout = sys.__stdout__  # which the command of the parent has replaced
+        preexec_fn()
+        run_to_end(request)
+    self._child_created = True
+    self._close_pipe_fds(*more[7:13])
 
 
 def serve(connection: socket.socket) -> dict[str, Any] | None:
@@ -98,7 +126,8 @@ def serve(connection: socket.socket) -> dict[str, Any] | None:
 
 
 def import_all() -> None:
-    """Import what the nodes need, and load the kernel."""
+    """Import what the nodes need, and load the kernel; let a demo fork its nodes too."""
+    from scara_effmass.cli.processes import ChildProcess  # noqa: PLC0415
     from scara_effmass.model.load import load_robot  # noqa: PLC0415
     from scara_effmass.reference.dynamics import RobotDynamics  # noqa: PLC0415
     from scara_effmass.safety.monitor import Monitor  # noqa: PLC0415
@@ -109,6 +138,7 @@ def import_all() -> None:
         import_module(f"scara_effmass.nodes.{node}_node")
     for path in Path(__file__).parents[1].glob("scara_effmass/cli/[a-z]*.py"):
         import_module(f"scara_effmass.cli.{path.stem}")
+    ChildProcess._execute_child = fork_child  # type: ignore[attr-defined]  # noqa: SLF001
     settings = MonitorSettings()
     Monitor(RobotDynamics(load_robot(share("config", "omron_i4_550l.yaml"), settings)), settings)
 
@@ -118,6 +148,8 @@ def run(request: dict[str, Any]) -> int:
     os.environ.clear()
     os.environ.update(request["environment"])
     os.chdir(request["folder"])
+    if request["new_session"]:
+        os.setsid()
     signal.signal(signal.SIGINT, signal.default_int_handler)
     random.seed()
     command = request["command"]
@@ -128,6 +160,18 @@ def run(request: dict[str, Any]) -> int:
         sys.argv = command
         main = SCRIPTS[Path(command[0]).name].load()
     return int(main() or 0)
+
+
+def run_to_end(request: dict[str, Any]) -> None:
+    """Run the command and end this process as the interpreter does."""
+    try:
+        code = run(request)
+    except SystemExit as ending:
+        code = ending.code if isinstance(ending.code, int) else 0
+    except BaseException:  # noqa: BLE001 - as the interpreter does
+        traceback.print_exc()
+        code = 1
+    end(code)
 
 
 def end(code: int) -> None:
@@ -144,11 +188,4 @@ if __name__ == "__main__":
     import_all()
     gc.freeze()  # else each fork copies the memory of all imports at its first collection
     if asked := serve(socket.socket(fileno=int(sys.argv[1]))):
-        try:
-            code = run(asked)
-        except SystemExit as ending:
-            code = ending.code if isinstance(ending.code, int) else 0
-        except BaseException:  # noqa: BLE001 - as the interpreter does
-            traceback.print_exc()
-            code = 1
-        end(code)
+        run_to_end(asked)

@@ -21,6 +21,7 @@ from scara_effmass.errors import OutputError
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
 from test.cli.conftest import Cli, Refused
+from test.forked import Forked
 
 HEAVY = ("rclpy", "pinocchio", "matplotlib", "pyarrow", "rosbags", "scara_effmass_msgs")
 LOADED_BY_HELP = """
@@ -367,10 +368,10 @@ for option in [], ["--json"]:
 
 @pytest.mark.live
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1", "utf-8"])
-def test_output_in_any_encoding(tmp_path: Path, encoding: str) -> None:
+def test_output_in_any_encoding(swing_bag: Path, tmp_path: Path, encoding: str) -> None:
     """Names of files may be bytes that no encoding has; JSON stays JSON."""
     path = os.fsencode(tmp_path) + b"/\xce\xbc \xff.mcap"
-    shutil.copyfile(next(share("bags", "tour").glob("*.mcap")), path)
+    shutil.copyfile(next(swing_bag.glob("*.mcap")), path)
     code = BOTH_OUTPUTS.replace("RECORDING", ascii(os.fsdecode(path)))
     environment = os.environ | {"PYTHONIOENCODING": encoding}
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, env=environment, check=True)

@@ -18,6 +18,7 @@ from std_msgs.msg import String
 
 from scara_effmass.bags.files import open_bag
 from test.cli.conftest import Cli, Refused
+from test.forked import Forked
 from test.nodes.conftest import TIMEOUT_S, ros_node
 
 pytestmark = pytest.mark.usefixtures("own_domain")
@@ -49,7 +50,7 @@ def recording(bag: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
     command = [*RECORD, "-o", str(bag), *arguments]
     with ros_node("notes") as node:
         publisher = node.create_publisher(String, "notes", QoSProfile(depth=100))
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        process = Forked(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         try:
             wait_until(publisher.get_subscription_count, process)
             for number in range(10):

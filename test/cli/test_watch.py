@@ -7,7 +7,6 @@ import pty
 import re
 import select
 import struct
-import subprocess
 import sys
 import termios
 from collections.abc import Callable, Iterator
@@ -23,6 +22,7 @@ from scara_effmass.codes import Reason
 from scara_effmass.safety import unknown_contact
 from scara_effmass.values import Impact, SeriesStatistics, Verdict
 from test.decisions import decision_on
+from test.forked import Forked
 from test.nodes.conftest import NodeHarness, joint_state
 
 S = 1_000_000_000
@@ -176,7 +176,7 @@ class Screen:
         fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 30, 100, 0, 0))
         environment = {**os.environ, "ROS_DOMAIN_ID": str(domain), "TERM": terminal_type, "COLUMNS": "", "LINES": ""}
         command = [sys.executable, "-m", "scara_effmass", "watch"]
-        self.process = subprocess.Popen(
+        self.process = Forked(
             command, stdin=terminal, stdout=terminal, stderr=terminal, env=environment, start_new_session=True
         )
         os.close(terminal)

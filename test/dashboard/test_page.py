@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
+from test.forked import Forked
 from test.nodes.conftest import NodeHarness, joint_state
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -99,7 +100,7 @@ def dashboard(port: str = "0") -> Iterator[tuple[subprocess.Popen[str], str]]:
         "--contact-point",
         "whole_arm",
     ]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
+    with Forked(words, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         try:
             yield process, process.stdout.readline().split()[1]

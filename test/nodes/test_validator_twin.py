@@ -14,6 +14,7 @@ from scara_effmass.model.load import load_robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
+from test.forked import Forked
 from test.nodes.conftest import NodeHarness, node_environment, stamp_ns
 
 BIN = Path(sys.executable).parent
@@ -42,7 +43,7 @@ def test_live_validation_equals_offline_validation(new_harness: Callable[..., No
     )
     with ExitStack() as running:
         for command in commands:
-            process = running.enter_context(subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL))
+            process = running.enter_context(Forked(command, env=environment, stderr=subprocess.DEVNULL))
             running.callback(process.terminate)
         for status, key in (
             ("monitor: input", "received"),
@@ -52,7 +53,7 @@ def test_live_validation_equals_offline_validation(new_harness: Callable[..., No
             harness.diagnostic(status, key, bool)  # the node is active
         topics = ["/joint_states", "/run_info"]
         command = [str(BIN / "scara-effmass"), "replay", str(BAG), "--topics", *topics]
-        replay = running.enter_context(subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL))
+        replay = running.enter_context(Forked(command, env=environment, stdout=subprocess.DEVNULL))
         harness.spin_until(lambda: validations)
         assert replay.wait() == 0
     dynamics = RobotDynamics(load_robot(share("config", "omron_i4_550l.yaml"), MonitorSettings()))

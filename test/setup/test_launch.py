@@ -16,9 +16,10 @@ from scara_effmass_msgs.msg import ContactState, ContactStates
 from sensor_msgs.msg import JointState
 
 from scara_effmass.bags.files import open_bag
+from test.forked import Forked
 from test.nodes.conftest import DEEP_QOS, JOINTS, QD, NodeHarness, Q, joint_state, node_environment
 
-Cell = list["subprocess.Popen[str]"]
+Cell = list[Forked]
 ROOT = Path(__file__).parents[2]
 
 
@@ -179,9 +180,7 @@ def start_cell(launch_file: dict[str, Any], own_domain: int, tmp_path: Path) -> 
         own = []
         for node in launch_file["nodes"](context(launch_file, **arguments)):
             words = command_of(node, tmp_path, len(processes))
-            own.append(
-                subprocess.Popen(words, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
-            )
+            own.append(Forked(words, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True))
             processes.append(own[-1])
         return own
 

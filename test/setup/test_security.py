@@ -21,6 +21,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scara_effmass.analysis.report import environment
+from test.forked import Forked
 from test.nodes.conftest import MONITOR_NODE
 
 ROOT = Path(__file__).parents[2]
@@ -150,7 +151,7 @@ def test_a_command_listens_where_the_page_says(
 ) -> None:
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     words = [sys.executable, "-m", "scara_effmass", *command.split()]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
+    with Forked(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
         try:
             assert process.stdout is not None
             assert any(ready in line for line in process.stdout)
