@@ -302,14 +302,14 @@ def test_interrupted_command_leaves_no_file(
 ) -> None:
     slow = ["assess", str(long_bag), "-o", str(tmp_path / f"a{suffix}"), "--cross-check"]
     command = [sys.executable, "-m", "scara_effmass", *slow]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+    with Forked(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         while process.poll() is None and not any(tmp_path.iterdir()):
             with suppress(subprocess.TimeoutExpired):
                 process.wait(0.02)
         process.send_signal(number)
         output, errors = process.communicate()
-    assert output == b""
-    assert errors == (b"interrupted\n" if number == signal.SIGINT else b"")
+    assert output == ""
+    assert errors == ("interrupted\n" if number == signal.SIGINT else "")
     # During exec(), as in the creation of a dataclass, the signal itself ends CPython; a shell reports 130 for both.
     assert process.returncode in {code, -number}
     assert list(tmp_path.iterdir()) == []
