@@ -3,15 +3,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scara_effmass.codes import Reason
-from scara_effmass.kernel.records import CONTACT, FIELDS, PLACES
+from scara_effmass.kernel.records import CONTACT, FIELDS, PLACES, REASON_SIZE
 from scara_effmass.kernel.state import CODE, DETAIL, STATE
 from scara_effmass.safety.assumptions import NO_ASSUMPTIONS, Assumptions
 from scara_effmass.safety.reasons import CRITERIA, MODELS, NO_TEXTS, ReasonTexts
@@ -20,8 +21,13 @@ from scara_effmass.values import ContactAssessment, Decision, FloatArray, Verdic
 BLOCK = 64
 """Number of contacts that are turned into columns together: few enough for the first-level cache."""
 Records = np.ndarray[Any, np.dtype[np.void]]
-_AT = {name: slice(PLACES[name], PLACES[name] + shape[0]) for name, shape in FIELDS.items() if shape}
-"""Places of vectors in the numbers of a contact."""
+_PLACED = [(name, shape, PLACES[name]) for name, shape in FIELDS.items()]
+_fields: Callable[[tuple[float, ...]], tuple[Any, ...]] = itemgetter(
+    *(slice(at, at + shape[0]) if shape else at for _, shape, at in _PLACED)
+)
+"""Returns the fields of a contact from its numbers, in order."""
+_REASON = slice(PLACES["reason"], PLACES["reason"] + REASON_SIZE)
+_STATE_FIELDS = STATE.names or ()
 
 
 @dataclass(eq=False, slots=True)
@@ -100,21 +106,20 @@ class Assessments:
         columns = np.empty(rows.shape[::-1])
         for first in range(0, len(rows), BLOCK):
             columns[:, first : first + BLOCK] = rows[first : first + BLOCK].T
-        places = ((name, shape, PLACES[name]) for name, shape in FIELDS.items())
-        return {name: columns[at : at + shape[0]] if shape else columns[at] for name, shape, at in places}
+        return {name: columns[at : at + shape[0]] if shape else columns[at] for name, shape, at in _PLACED}
 
     def decision(self, row: int, contacts: Sequence[int] | None = None) -> Decision:
         """Return the assessment at joint state number `row` of the `contacts` with these numbers, by default of all."""
-        state, chosen = self.states[row], range(len(self.points)) if contacts is None else contacts
+        state = dict(zip(_STATE_FIELDS, self.states[row].item(), strict=True))  # once: an access by name takes long
         return Decision(
-            stamp_ns=int(state["stamp_ns"]),
-            input_age=float(state["age"]),
-            velocity_delay=float(state["delay"]),
+            stamp_ns=state["stamp_ns"],
+            input_age=state["age"],
+            velocity_delay=state["delay"],
             contact_normal=self.normal if state["is_admitted"] else "",
             watchdog=bool(state["is_watchdog"]),
-            contacts=tuple(self._contact(row, point) for point in chosen),
-            allowable_speed=float(state["allowable_speed"]),
-            speed_scaling=float(state["speed_scaling"]),
+            contacts=self._contacts(row, range(len(self.points)) if contacts is None else contacts),
+            allowable_speed=state["allowable_speed"],
+            speed_scaling=state["speed_scaling"],
             assumptions=self.assumptions.assumed,
             accepted_assumptions=self.assumptions.accepted,
             scope=self.texts.scope,
@@ -124,18 +129,20 @@ class Assessments:
         """Yield the `decision` at each joint state."""
         return (self.decision(row, contacts) for row in range(len(self)))
 
-    def _contact(self, row: int, point: int) -> ContactAssessment:
-        numbers: list[float] = self.numbers[row, point].tolist()
-        reason = self.texts.text(numbers[_AT["reason"]], self.details)
-        return contact_of(numbers, self.points[point], reason, self.labels)
+    def _contacts(self, row: int, chosen: Sequence[int]) -> tuple[ContactAssessment, ...]:
+        labels, contacts = self.labels, list[ContactAssessment]()
+        for point in chosen:
+            numbers: list[float] = self.numbers[row, point].tolist()
+            text = self.texts.text(numbers[_REASON], self.details)
+            contacts.append(contact_of(numbers, self.points[point], text, labels))
+        return tuple(contacts)
 
 
 def contact_of(
     numbers: Sequence[float], point: str, reason: str, labels: Mapping[str, tuple[str, ...]]
 ) -> ContactAssessment:
     """Return the contact with these `numbers`, with the text of its reason; `labels` are the texts of its codes."""
-    fields: dict[str, Any] = {name: tuple(numbers[at]) for name, at in _AT.items()}
-    fields |= {name: numbers[PLACES[name]] for name, shape in FIELDS.items() if not shape}
+    fields: dict[str, Any] = dict(zip(FIELDS, _fields(tuple(numbers)), strict=True))
     fields |= {name: texts[int(fields[name])] for name, texts in labels.items()}
     fields |= {
         "worst_direction_used": bool(fields["worst_direction_used"]),
