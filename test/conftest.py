@@ -57,7 +57,7 @@ def pytest_collection_finish() -> None:
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
     """Return the default number of worker processes: one per core, and more for live tests, which mostly wait."""
     cores = len(os.sched_getaffinity(0))
-    return cores if config.option.markexpr == "not live" else 3 * cores // 2
+    return cores if config.option.markexpr == "not live" else 2 * cores
 
 
 @pytest.hookimpl(wrapper=True)
