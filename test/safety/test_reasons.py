@@ -30,7 +30,7 @@ def text(texts: ReasonTexts, code: Reason, *values: float, joint: int = 0, held:
     reason = np.zeros(REASON_SIZE)
     reason[[CODE, JOINT, DETAIL, HELD, LATCHED]] = code, joint, 1, held, latched
     reason[VALUES : VALUES + len(values)] = values
-    return texts.text(reason, ("", "detail", "tool"))
+    return texts.text(reason.tolist(), ("", "detail", "tool"))
 
 
 @pytest.mark.parametrize("code", Reason)
