@@ -19,7 +19,7 @@ from scara_effmass_msgs.msg import ForceBlock
 from usage import cpu_s, resident_mb
 
 from scara_effmass.daq import make_source
-from scara_effmass.settings import DaqSettings, ForceSourceKind, SimSettings
+from scara_effmass.settings import DaqSettings, SimSettings
 from scara_effmass.wire.force import decode_force_block
 
 CHANNELS = 3
@@ -104,7 +104,7 @@ def _run_bare_loop(rate: float) -> Run:
 def bare_loop(rate: float) -> Run:
     """Read the source for a minute and discard the samples."""
     sim = SimSettings(channels=CHANNELS, sample_rate=rate)
-    source = make_source(DaqSettings(source=ForceSourceKind.SIM, sim=sim), time.time_ns)
+    source = make_source(DaqSettings(source="sim", sim=sim), time.time_ns)
     source.start()
     samples = lost = 0
     start_cpu_s = start_s = before_mb = 0.0
