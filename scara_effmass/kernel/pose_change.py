@@ -116,72 +116,72 @@ def growth(change: Mobility, k: Mobility6, beta: float) -> float:
     return rate
 
 
-class Masses(NamedTuple):
-    """(s + A)^-1 n for s = least + t, t >= 0, is (forth + t also + t^2 last) / (c0 + c1 t + c2 t^2 + c3 t^3).
+class MassPolynomials(NamedTuple):
+    """K n of K = (s + A)^-1 over s = least + t, t >= 0: (x0 + x1 t + x2 t^2) / (c0 + c1 t + c2 t^2 + c3 t^3).
 
-    The coefficients of n times the numerator and those of the denominator are not negative.
+    No coefficient of n^T x(t), nor of the denominator, is negative.
     """
 
-    forth: Vector3
-    also: Vector3
-    last: Vector3
+    x0: Vector3
+    x1: Vector3
+    x2: Vector3
     denominator: tuple[float, float, float, float]
 
 
 @inlined
-def masses_from(change: Mobility, least: float) -> Masses:
-    """Return the masses along n for every alpha / beta of at least `least`."""
+def mass_polynomials(change: Mobility, least: float) -> MassPolynomials:
+    """Return K n for every alpha / beta of at least `least` [1/kg], in as many dimensions as the point moves in."""
     n, m = vector(change.direction), matrix_of(change)
     s = max(least, CLAMPED_TOLERANCE * trace(m))
     if change.change_rank == 1:
-        return Masses(n, ZERO_VECTOR, ZERO_VECTOR, (s + trace(m), 1.0, 0.0, 0.0))
+        return MassPolynomials(n, ZERO_VECTOR, ZERO_VECTOR, (s + trace(m), 1.0, 0.0, 0.0))
     if change.change_rank == 2:
         of_plane = m[3] + m[5] + s, -m[1], -m[2], m[0] + m[5] + s, -m[4], m[0] + m[3] + s
         minors = trace(adjugate(m)) + s * (s + trace(m))
-        return Masses(symmetric_product(of_plane, n), n, ZERO_VECTOR, (minors, s + s + trace(m), 1.0, 0.0))
+        return MassPolynomials(symmetric_product(of_plane, n), n, ZERO_VECTOR, (minors, s + s + trace(m), 1.0, 0.0))
     m = shifted(m, s)
     of_m = adjugate(m)
-    also = sub(scale(trace(m), n), symmetric_product(m, n))
-    return Masses(symmetric_product(of_m, n), also, n, (determinant(m, of_m), trace(of_m), trace(m), 1.0))
+    x1 = sub(scale(trace(m), n), symmetric_product(m, n))
+    return MassPolynomials(symmetric_product(of_m, n), x1, n, (determinant(m, of_m), trace(of_m), trace(m), 1.0))
 
 
 @inlined
-def at_most(part: float, whole: float) -> float:
-    """Return part / whole, 0 for a negative part and infinite for a whole of 0."""
-    if not part > 0.0:
+def quotient(part: float, whole: float) -> float:
+    """Return part / whole, 0 for a negative part, and infinite where that is not a finite number."""
+    if part <= 0.0:
         return 0.0
-    return part / whole if whole > 0.0 else math.inf
+    return part / whole if part < math.inf and 0.0 < whole < math.inf else math.inf
 
 
 @inlined
-def largest_share(change: Mobility, a: Vector3, masses: Masses) -> float:
-    """Return a bound of x^T a / x^T n for the masses x n: the largest share of a coefficient."""
+def max_share(change: Mobility, a: Vector3, masses: MassPolynomials) -> float:
+    """Return a bound of x^T a / x^T n for every x of `masses`: the largest quotient of their coefficients."""
     n, largest = vector(change.direction), 0.0
-    for x in (masses.forth, masses.also, masses.last):
+    for x in (masses.x0, masses.x1, masses.x2):
         part = dot(x, a)
-        largest = max(largest, at_most(abs(part) if change.either_way else part, dot(x, n)))
+        largest = max(largest, quotient(abs(part) if change.either_way else part, dot(x, n)))
     return largest
 
 
 @inlined
-def max_growth(change: Mobility, least: float) -> float:
-    """Return a bound [1/s] of `growth` for every alpha / beta of at least `least` [1/kg].
+def max_growth(change: Mobility, masses: MassPolynomials) -> float:
+    """Return a bound [1/s] of `growth` for every mass matrix of `masses`.
 
-    Quotients of polynomials whose denominator has no negative coefficient are at most that of one coefficient.
+    A quotient of polynomials of t >= 0 whose denominator has no negative coefficient is at most the largest quotient of
+    their coefficients.
     """
-    n, masses = vector(change.direction), masses_from(change, least)
-    x, y, z, (c0, c1, c2, c3) = masses
+    n, (x, y, z, (c0, c1, c2, c3)) = vector(change.direction), masses
     powers = vector_at(change.powers, 0), vector_at(change.powers, 1), vector_at(change.powers, 2)
     of_x, of_y, of_z = rotate(powers, x), rotate(powers, y), rotate(powers, z)
     d0, d1, d2 = dot(n, x), dot(n, y), dot(n, z)
     loss = max(
-        at_most(-dot(x, of_x), c0 * d0),
-        at_most(-dot(x, of_y) - dot(y, of_x), c0 * d1 + c1 * d0),
-        at_most(-dot(x, of_z) - dot(y, of_y) - dot(z, of_x), c0 * d2 + c1 * d1 + c2 * d0),
-        at_most(-dot(y, of_z) - dot(z, of_y), c1 * d2 + c2 * d1 + c3 * d0),
-        at_most(-dot(z, of_z), c2 * d2 + c3 * d1),
+        quotient(-dot(x, of_x), c0 * d0),
+        quotient(-dot(x, of_y) - dot(y, of_x), c0 * d1 + c1 * d0),
+        quotient(-dot(x, of_z) - dot(y, of_y) - dot(z, of_x), c0 * d2 + c1 * d1 + c2 * d0),
+        quotient(-dot(y, of_z) - dot(z, of_y), c1 * d2 + c2 * d1 + c3 * d0),
+        quotient(-dot(z, of_z), c2 * d2 + c3 * d1),
     )
-    faster = max(largest_share(change, vector(change.free), masses), largest_share(change, vector(change.held), masses))
+    faster = max(max_share(change, vector(change.free), masses), max_share(change, vector(change.held), masses))
     bound: float = 2.0 * (faster / change.speed + loss)
     return bound
 

@@ -24,9 +24,9 @@ from scara_effmass.kernel.person import (
     person_mass,
     present_root,
 )
-from scara_effmass.kernel.pose_change import contact_time, growth, mass_matrix, max_growth
+from scara_effmass.kernel.pose_change import contact_time, growth, mass_matrix, mass_polynomials, max_growth
 from scara_effmass.kernel.records import HULL_KNOWN, HULL_NONE, Case, Mobility, Principal, Setup, Work
-from scara_effmass.kernel.spatial import symmetric_product, vector
+from scara_effmass.kernel.spatial import scale
 from scara_effmass.reference import speed_limit as reference
 from scara_effmass.values import ZERO_VECTOR
 
@@ -305,8 +305,11 @@ def fill_bounds(mobilities: Sequence[Mobility], setup: Setup, work: Work) -> Non
         if m.hull == HULL_KNOWN:
             mobility = m.square * m.speed_ratio / m.energy_of_arm
         work.least_mobilities[k] = mobility / factor
-        x = symmetric_product(mass_matrix(m, alpha, 1.0), vector(m.direction)) if m.change_rank > 0 else ZERO_VECTOR
-        work.growths[k] = 0.5 * max_growth(m, alpha) / m.speed if m.change_rank > 0 else 0.0
+        x, work.growths[k] = ZERO_VECTOR, 0.0
+        if m.change_rank > 0:
+            masses = mass_polynomials(m, alpha)
+            x = scale(inverse(masses.denominator[0]), masses.x0)
+            work.growths[k] = 0.5 * max_growth(m, masses) / m.speed
         # Outside the range of the simulated contacts no case is skipped.
         work.accelerations[k] = max_rate(m, x, alpha) if m.matrix_trace <= MAX_MOBILITY * factor else math.inf
 

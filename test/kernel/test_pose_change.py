@@ -2,11 +2,12 @@
 """Change of pose during a contact: the bound that skips cases."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scara_effmass.kernel.jit import compiled
-from scara_effmass.kernel.pose_change import growth, mass_matrix, max_growth
+from scara_effmass.kernel.pose_change import growth, mass_matrix, mass_polynomials, max_growth
 from scara_effmass.kernel.records import ByteArray, Mobility, dtype_of
 from scara_effmass.values import FloatArray
 
@@ -18,7 +19,7 @@ UPPER = np.triu_indices(3)
 def growths(record: ByteArray, least: float, ratios: FloatArray, out: FloatArray) -> None:
     """Write the bound for every alpha / beta of at least `least` in `out`, then the growth at each of `ratios`."""
     change = record.view(MOBILITY)[0]
-    out[0] = max_growth(change, least)
+    out[0] = max_growth(change, mass_polynomials(change, least))
     for i in range(len(ratios)):
         out[i + 1] = growth(change, mass_matrix(change, ratios[i], 1.0), 1.0)
     out[len(ratios) + 1] = growth(change, mass_matrix(change, 1.0, 0.0), 0.0)
@@ -55,3 +56,15 @@ def test_growth_is_bounded_for_every_line_of_the_drives(
     assert out[0] >= out[1:].max() * (1.0 - 1e-9)
     if rank == 1:  # one direction has one growth
         np.testing.assert_allclose(out[0], out[1:-1].max(), rtol=1e-9)
+
+
+@pytest.mark.parametrize("field", ["free", "held", "powers", "matrix"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_growth_of_what_is_not_finite_has_no_bound(field: str, value: float) -> None:
+    record = np.zeros(1, MOBILITY)
+    record["direction"], record["matrix"], record["powers"] = (0.6, 0.8, 0.0), np.eye(3)[UPPER], -np.eye(3)
+    record["speed"], record["change_rank"] = 0.1, 3
+    record[field][0].flat[0] = value if field != "powers" else -value
+    out = np.empty(3)
+    growths(record.view(np.uint8), 0.1, np.array([0.1]), out)
+    assert out[0] == np.inf
