@@ -131,14 +131,15 @@ def assess_joint_states(
     robot.
     """
     threads = min(len(os.sched_getaffinity(0)), MAX_THREADS)
-    waiting: deque[Future[_Computed]] = deque()
+    waiting: deque[Future[tuple[list[_Part], FloatArray]]] = deque()
     with ThreadPoolExecutor(threads) as pool:
         for batch in _admitted(bag, topic, monitor, time, velocities, skew or ClockSkew()):
-            waiting.append(pool.submit(_compute, monitor, batch))
-            if len(waiting) > threads:
-                yield from _finished(monitor, waiting.popleft().result())
+            for _, parts in groupby(batch, lambda part: part.pending.texts):  # a payload changes the texts
+                waiting.append(pool.submit(_compute, monitor, [*parts]))
+                if len(waiting) > threads:
+                    yield _settled(monitor, *waiting.popleft().result())
         while waiting:
-            yield from _finished(monitor, waiting.popleft().result())
+            yield _settled(monitor, *waiting.popleft().result())
 
 
 def assessed_rows(
@@ -163,36 +164,26 @@ class _Part(NamedTuple):
     row: int
 
 
-class _Computed(NamedTuple):
-    """A batch whose contacts are computed: part number i has `numbers` from row `firsts[i]` on."""
-
-    parts: list[_Part]
-    firsts: list[int]
-    numbers: FloatArray
-
-
-def _compute(monitor: Monitor, batch: Sequence[_Part]) -> _Computed:
-    firsts = list(accumulate((len(part.log_time_ns) for part in batch), initial=0))
-    numbers = np.empty((firsts[-1], *batch[0].pending.numbers.shape[1:]))
-    parts = [
+def _compute(monitor: Monitor, parts: Sequence[_Part]) -> tuple[list[_Part], FloatArray]:
+    """Compute the contacts of `parts`; return these with their numbers in one array, and that."""
+    firsts = list(accumulate((len(part.log_time_ns) for part in parts), initial=0))
+    numbers = np.empty((firsts[-1], *parts[0].pending.numbers.shape[1:]))
+    computed = [
         part._replace(pending=part.pending._replace(numbers=numbers[first:stop]))
-        for part, (first, stop) in zip(batch, pairwise(firsts), strict=True)
+        for part, (first, stop) in zip(parts, pairwise(firsts), strict=True)
     ]
-    for part in parts:
+    for part in computed:
         monitor.compute(part.pending)
-    return _Computed(parts, firsts, numbers)
+    return computed, numbers
 
 
-def _finished(monitor: Monitor, batch: _Computed) -> Iterator[AssessedStates]:
-    """Yield the assessments of a batch; a payload that changes their texts cuts them."""
-    for _, group in groupby(zip(batch.parts, batch.firsts, strict=False), lambda entry: entry[0].pending.texts):
-        entries = list(group)
-        first = entries[0][1]
-        sources = [Source(row - first, part.block, part.row) for part, row in entries]
-        times = np.concatenate([part.log_time_ns for part, _ in entries])
-        settled = [monitor.settle(part.pending) for part, _ in entries]
-        assessments = joined(settled, batch.numbers[first : first + len(times)])
-        yield AssessedStates(times, assessments, sources, monitor.names_of)
+def _settled(monitor: Monitor, parts: Sequence[_Part], numbers: FloatArray) -> AssessedStates:
+    """Return the assessments of `parts`, whose numbers lie together in `numbers`."""
+    firsts = accumulate((len(part.log_time_ns) for part in parts), initial=0)
+    sources = [Source(first, part.block, part.row) for first, part in zip(firsts, parts, strict=False)]
+    assessments = joined([monitor.settle(part.pending) for part in parts], numbers)
+    times = np.concatenate([part.log_time_ns for part in parts])
+    return AssessedStates(times, assessments, sources, monitor.names_of)
 
 
 def _admitted(

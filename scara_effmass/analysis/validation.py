@@ -273,13 +273,12 @@ def _on_joint_clock(
 ) -> Iterator[Measurement]:
     """Return what was `measured` by another clock, with stamps and log times of the joint states. Raises BagError."""
     stamps_ns, lags_ns, velocity = array("q"), array("q"), array("d")
-    point = settings.validator.contact_point
-    contacts = _validated(monitor, point)
+    contacts = _validated(monitor, settings.validator.contact_point)
     for item in assessed_rows(bag, recording.joint_state_topic, monitor, settings.time, contacts=contacts):
         if item.decision.stamp_ns <= (stamps_ns[-1] if stamps_ns else 0):
             continue
         stamp_ns = item.decision.stamp_ns
-        contact = next((one for one in item.decision.contacts if not point or one.contact_point == point), None)
+        contact = next(iter(item.decision.contacts), None)
         if contact is not None and (contact.verdict is not Verdict.UNKNOWN or any(contact.direction)):
             stamps_ns.append(stamp_ns)
             lags_ns.append(item.log_time_ns - stamp_ns)

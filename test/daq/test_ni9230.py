@@ -23,6 +23,7 @@ from nidaqmx.constants import (
 )
 from nidaqmx.errors import DaqFunctionNotSupportedError, DaqNotSupportedError
 
+from scara_effmass.analysis.forces import AC_COUPLED
 from scara_effmass.daq import make_source
 from scara_effmass.daq.ni9230 import Ni9230Source
 from scara_effmass.daq.ni_driver import devices, driver_version
@@ -111,6 +112,7 @@ def test_started_source_knows_the_device(started: Open) -> None:
     assert source.simulated is False
     assert source.limit == pytest.approx(30.0 / 2.248e-3)
     assert source.description == "NI 9230 cDAQ1Mod1/ai0, IEPE 4 mA, AC coupling, 2.248 mV/N"
+    assert AC_COUPLED in source.description
 
 
 def test_device_simulated_by_the_driver_is_simulated(ni_device: NiDevice, started: Open) -> None:
