@@ -29,6 +29,8 @@ from scara_effmass.wire.run_info import decode_run_info
 
 _POLL_PERIOD_S = 0.01
 _GRAPH_PERIOD_NS = 250_000_000
+_TAKE_NS = 20_000_000
+"""Longest time of taking messages of one topic in a poll: a busy machine may not keep up with them."""
 _LATEST = topics.Qos(1, reliable=False)
 _RARE = topics.Qos(200)
 _MAX_DEADLINE_NS = 3_600_000_000_000
@@ -65,6 +67,8 @@ class CellClient(ClientNode):
         super().__init__(name, arguments=arguments)
         self.executor.remove_node(self.node)  # which would queue an event for every message
         self._polled_ns = time.monotonic_ns()
+        """Start of the last poll that took all messages: those of the next one arrived later."""
+        self._has_left = False
         self.status = CellStatus(self._polled_ns)
         self._graph_ns = self._monitors = 0
         self._has_joined = False
@@ -108,8 +112,11 @@ class CellClient(ClientNode):
         return time.time_ns() - time.monotonic_ns() + at_ns
 
     def poll(self) -> CellStatus:
-        """Take all messages that have arrived; return `status` as of now. Does not wait."""
-        now_ns = time.monotonic_ns()
+        """Take the messages that have arrived; return `status` as of now. Does not wait.
+
+        Those for which the time does not suffice are left to the next poll.
+        """
+        now_ns, self._has_left = time.monotonic_ns(), False
         if now_ns - self._graph_ns > _GRAPH_PERIOD_NS:
             self._graph_ns = now_ns
             self._look_at_graph()
@@ -117,7 +124,8 @@ class CellClient(ClientNode):
             for message, at_ns in self._taken(subscription, 0 if is_latched else self._polled_ns):
                 with suppress(DecodeError):  # no news, as silence
                     take(decode(message), at_ns)
-        self._polled_ns = now_ns
+        if not self._has_left:
+            self._polled_ns = now_ns
         if self._has_joined:  # known before its first message; the messages of the other one show whether it is alive
             self.status.take_second_publisher(time.monotonic_ns())
             self._has_joined = False
@@ -155,12 +163,16 @@ class CellClient(ClientNode):
 
         So a message that waited while this process stood still is old, and a sender's clock changes little.
         """
-        to_monotonic_ns = time.monotonic_ns() - time.time_ns()
+        start_ns = time.monotonic_ns()
+        to_monotonic_ns = start_ns - time.time_ns()
         with subscription.handle:
             while (taken := subscription.handle.take_message(subscription.msg_type, subscription.raw)) is not None:
                 message, info = taken
                 at_ns = info["source_timestamp"] + to_monotonic_ns
                 yield message, min(max(at_ns, earliest_ns), time.monotonic_ns())
+                if time.monotonic_ns() - start_ns > _TAKE_NS:
+                    self._has_left = True
+                    return
 
     def _look_at_graph(self) -> None:
         """Look for a monitor, and take its deadline as the longest silence; of several, the shortest deadline."""

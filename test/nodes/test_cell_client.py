@@ -134,6 +134,31 @@ def test_decisions_of_the_watchdog_arrive_as_such(node: Node) -> None:
     assert received == [(True, "no joint state yet"), (False, "")]
 
 
+def test_a_stream_faster_than_its_client_does_not_hold_a_poll(node: Node) -> None:
+    """What is left of it does not become younger."""
+    states = publisher(node, ContactStates, topics.CONTACT_STATES, deadline_s=0.2)
+    encoder = ContactStatesEncoder("base_link")
+    end = time.monotonic() + TIMEOUT_S
+    polls = taken = 0
+
+    def send_two_more(_: Decision) -> None:
+        nonlocal taken
+        taken += 1
+        if time.monotonic() < end:
+            for _ in range(2):
+                states.publish(encoder.encode(assessments_of(OK)))
+
+    def polled() -> bool:
+        nonlocal polls
+        polls += 1
+        return polls > 2 and client.status.reason.startswith("the monitor is silent")
+
+    with CellClient("display", NAMESPACE, on_decision=send_two_more) as client:
+        poll_until(client, lambda _: taken, lambda: send_two_more(OK))
+        assert client.spin(TIMEOUT_S / 2, polled)
+        assert taken > polls
+
+
 def test_interrupt_in_a_callback_ends_spinning_without_output(node: Node, capfd: pytest.CaptureFixture[str]) -> None:
     states, encoder = publisher(node, ContactStates, topics.CONTACT_STATES), ContactStatesEncoder("base_link")
     received: list[int] = []
