@@ -44,7 +44,9 @@ IMPACTS = 12
 """Three configurations with four obstacle masses each."""
 FIRST_IMPACT_S = 4.0
 IMPACT_PERIOD_S = 3.5
-RECORDER_DELAY_S = 5.0
+LISTENERS = ("monitor", "visualization", "recorder", "demo")
+"""Nodes whose subscription of the joint states the simulation waits for."""
+RECORDER_DELAY_S = 60.0
 """Largest delay of recorded log times: simulated time waits for monitor and force node, not for the recorder."""
 VALIDATION_DELAY_S = 3.0
 """Time from an impact to its validation, which follows once the rebounds are over."""
@@ -124,7 +126,7 @@ def _live_sim(
     cell = ["-p", "sim.scene:=cell", "-p", f"sim.start:={start_s}"]
     commands = processes.commands(args, settings)
     commands += [["daq", "--source", "sim", *processes.SIM_TIME, *cell], ["validator", *processes.SIM_TIME]]
-    sim_command = ["sim", "--start", str(start_s), "--clock", "--ros-args", "-p", "listeners:=3"]
+    sim_command = ["sim", "--start", str(start_s), "--clock", "--ros-args", "-p", f"listeners:={json.dumps(LISTENERS)}"]
     stamps_ns: set[int] = set()
     console = printer()
     assessed_s = -math.inf
@@ -164,7 +166,7 @@ def _live_sim(
             processes.START_TIMEOUT_S,
             "nodes",
         )
-        # The recorder subscribes once it receives the first /clock message, which the simulation publishes.
+        # The recorder subscribes once it receives the first /clock message, which the waiting simulation publishes.
         children.append(stack.enter_context(processes.ChildProcess(sim_command)))
         processes.spin_until(finished, client, children, processes.START_TIMEOUT_S + MAX_SLOWDOWN * duration_s)
         recorded = children[0].recording()

@@ -45,7 +45,9 @@ class NodeSettings(parameters.NodeParameters):
         default=False,
         description="publish /clock at up to real time, and wait for monitor and force node if they fall behind",
     )
-    listeners: int = fixed(1, "with clock: subscribers of joint_states that must be present before the start", ge=0)
+    listeners: tuple[str, ...] = fixed(
+        (), "with clock: nodes that must have subscribed to joint_states before the start; empty: any one"
+    )
 
 
 class SimNode(LifecycleBase[NodeSettings]):
@@ -80,6 +82,7 @@ class SimNode(LifecycleBase[NodeSettings]):
         self._states.clear()
         self._carts.clear()
         self._start_ns = self._time_ns = start_ns
+        self._is_awaited = self._sim_clock is not None
         if self._sim_clock is not None:
             self._sim_clock.begin(start_ns)
 
@@ -88,11 +91,12 @@ class SimNode(LifecycleBase[NodeSettings]):
             return
         if self._sim_clock is None:
             now_ns = self.now_ns()
-        elif self._joint_states.get_subscription_count() >= self.settings.listeners:
-            now_ns = self._sim_clock.advance()
-        else:
+        elif self._is_awaited and (self._missing() or not self._joint_states.get_subscription_count()):
             self._sim_clock.hold()
             return
+        else:
+            self._is_awaited = False
+            now_ns = self._sim_clock.advance()
         output = self._sim.advance_to(now_ns + _AHEAD_NS)
         self._states += output.joint_states
         self._carts += output.carts
@@ -105,9 +109,14 @@ class SimNode(LifecycleBase[NodeSettings]):
             self._joint_states.publish(joint_state_message(self._states.popleft()))
         self._time_ns = now_ns
 
+    def _missing(self) -> list[str]:
+        """Return the listeners that have not subscribed yet."""
+        found = {info.node_name for info in self.get_subscriptions_info_by_topic(topics.JOINT_STATES)}
+        return sorted({*self.settings.listeners} - found)
+
     def _log_status(self) -> None:
-        count, needed = self._joint_states.get_subscription_count(), self.settings.listeners * self.settings.clock
-        waits = f": waits for {needed}" * (count < needed)
+        count = self._joint_states.get_subscription_count()
+        waits = f": waits for {', '.join(self._missing()) or 'one'}" * self._is_awaited
         simulated_s = (self._time_ns - self._start_ns) / _NS
         self.get_logger().info(f"simulated {simulated_s:.1f} s, {count} subscribers of joint_states{waits}")
 

@@ -37,7 +37,8 @@ def test_every_live_impact_is_in_the_recording(cli_process: Cli, tmp_path: Path,
     assert done.stderr == ""
     result = json.loads(done.stdout)
     # The demo waits for the first impact, and more come if the nodes end late; an accepted series needs six.
-    assert 1 <= result["live"] == result["both"] <= result["offline"]
+    context = result["refused"], result["unpaired"], result["recording"]
+    assert 1 <= result["live"] == result["both"] <= result["offline"], context
     assert not result["accepted"] or result["offline"] >= 6
     assert done.returncode == (not result["accepted"])
     # The scalars live 2 s, the markers are the last 10, the load is the last one: a busy recorder can be later.

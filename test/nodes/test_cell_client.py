@@ -141,7 +141,7 @@ def test_a_stream_faster_than_its_client_does_not_hold_a_poll(node: Node) -> Non
     end = time.monotonic() + TIMEOUT_S
     polls = taken = 0
 
-    def send_two_more(_: Decision) -> None:
+    def send_two_more(_decision: Decision) -> None:
         nonlocal taken
         taken += 1
         if time.monotonic() < end:

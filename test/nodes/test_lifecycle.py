@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -21,7 +20,6 @@ from std_msgs.msg import String
 from scara_effmass.nodes.client import spin_for
 from scara_effmass.nodes.lifecycle import LifecycleBase
 from scara_effmass.nodes.parameters import NodeParameters
-from scara_effmass.nodes.sim_node import SimNode
 from test.nodes.conftest import ros_node
 
 
@@ -167,10 +165,6 @@ raise SystemExit(main([]))
         assert process.stdout.readline() == b"loading\n"
         process.send_signal(number)
         assert process.wait(60.0) == code
-
-
-def test_simulated_cell_does_not_catch_up_with_years(refusal_of: Callable[..., str]) -> None:
-    assert refusal_of(SimNode, "start:=1.0") == "sim: start = 1.0: must be at most 60 s ago"
 
 
 @pytest.mark.live
