@@ -46,6 +46,7 @@ _VALUES_LAYOUT = f"{_VALUES_SIZE}d"
 """From direction to test_effective_mass of one contact."""
 _NUMBERS, _VALUES = struct.Struct(f"<{_NUMBERS_LAYOUT}"), struct.Struct(f"<{_VALUES_LAYOUT}")
 _FLAGS = struct.Struct("<??BxH")
+_FLAG_PLACES = [PLACES[name] for name in ("worst_direction_used", "mass_capped", "verdict", "reason")]
 """worst_direction_used, mass_capped, verdict and reason_code of one contact."""
 _FIRST_FLAG = ContactAssessment._fields.index("worst_direction_used")
 _TEXTS = len(ContactAssessment._fields) - _FIRST_FLAG - 4
@@ -77,10 +78,11 @@ class ContactStatesEncoder:
         stamp_ns, _, _, is_admitted, _, watchdog, age, delay, _, verdict, worst, allowable_speed, scaling, _ = state
         # The bytes of verdicts, codes and reasons stand for their texts, which those of the settings complete.
         codes = contacts[:, _VALUES_SIZE:].tobytes()
-        settings = assessments.points, assessments.normal, assessments.texts, assessments.details
-        texts = self.frame_id, is_admitted, worst, codes, settings, assessments.assumptions
+        normal = assessments.normal if is_admitted else ""
+        settings = assessments.points, assessments.texts, assessments.details, assessments.assumptions
+        texts = self.frame_id, normal, worst, codes, settings
         if texts != self._texts:
-            self._encode_texts(assessments, row, worst)
+            self._encode_texts(assessments, row, normal, worst)
             self._texts = texts
         self._count += 1
         code = int(contacts[worst, _REASON])
@@ -94,20 +96,21 @@ class ContactStatesEncoder:
             parts += (values.tobytes(), tail)
         return b"".join(parts)
 
-    def _encode_texts(self, assessments: Assessments, row: int, worst: int) -> None:
+    def _encode_texts(self, assessments: Assessments, row: int, normal: str, worst: int) -> None:
         # Doubles are aligned to 8 bytes from byte 4 on, as each part is; the stamp before the head is 8 bytes long.
-        decision = assessments.decision(row)
+        contacts = assessments.numbers[row].tolist()
+        reasons = [assessments.texts.text(numbers[_REASON:], assessments.details) for numbers in contacts]
         self._head = padded(with_text(b"", self.frame_id))
-        before = with_text(with_text(b"", decision.contact_normal), decision.contacts[worst].reason)
-        for codes in (decision.assumptions, decision.accepted_assumptions):
+        before = with_text(with_text(b"", normal), reasons[worst])
+        for codes in (assessments.assumptions.assumed, assessments.assumptions.accepted):
             before = _with_count(before, len(codes)) + bytes(codes)
-        before = with_text(before, decision.scope)
-        self._texts_of_state = padded(_with_count(before, len(decision.contacts)))
+        before = with_text(before, assessments.texts.scope)
+        self._texts_of_state = padded(_with_count(before, len(contacts)))
         self._tails = []
-        contacts: tuple[Any, ...] = decision.contacts
-        for contact in contacts:
-            tail = _FLAGS.pack(*contact[_FIRST_FLAG : _FIRST_FLAG + 4])
-            for text in contact[_FIRST_FLAG + 4 :]:
+        for numbers, name, reason in zip(contacts, assessments.points, reasons, strict=True):
+            tail = _FLAGS.pack(*(int(numbers[place]) for place in _FLAG_PLACES))
+            labels = (texts[int(numbers[PLACES[field]])] for field, texts in assessments.labels.items())
+            for text in (name, *labels, reason):
                 tail = with_text(tail, text)
             self._tails.append(padded(tail))
         self._tails[-1] = tail  # nothing follows
