@@ -15,7 +15,7 @@ from types import FrameType
 from typing import Any, NoReturn
 
 from scara_effmass import __version__
-from scara_effmass.cli.commands import COMMANDS, GROUPS, HELP, MODULES, ROS_COMMANDS
+from scara_effmass.cli.commands import COMMANDS, GROUPS, HELP, MODULES, ROS_COMMANDS, check_options
 from scara_effmass.cli.options import Option, inputs_of
 from scara_effmass.errors import EffmassError
 from scara_effmass.extras import missing_extra
@@ -129,6 +129,7 @@ def _explained(error: BaseException) -> tuple[str, int]:
 
 def _run(module: str, parsed: argparse.Namespace) -> int:
     """Run the command of `module` and return its exit code. Raises EffmassError, also for a missing extra."""
+    check_options(parsed)
     protect_inputs(*inputs_of(parsed))
     try:
         code: int = import_module(f"scara_effmass.cli.{module}").run(parsed)

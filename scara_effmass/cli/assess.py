@@ -137,8 +137,6 @@ def _recordings(args: argparse.Namespace) -> tuple[list[Path], list[tuple[str, s
         raise SettingsError(f"--report, --properties: must be left out for a dataset, {args.output}")
     if args.output.suffix and args.cell:
         raise SettingsError(f"--cell = {args.cell}: must be for a dataset, not for {args.output}")
-    if args.pdf and not args.report:
-        raise SettingsError("--pdf: must come with --report")
     paths = [path for folder in args.bags for path in find_bags(folder)]
     if args.velocity_bag and len(paths) > 1:
         raise SettingsError(f"--velocity-bag = {args.velocity_bag}: must belong to one recording, not to {len(paths)}")

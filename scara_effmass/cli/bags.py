@@ -111,8 +111,8 @@ def _causes(topic: TopicReport) -> str:
 
 
 def _repair(args: argparse.Namespace) -> int:
-    if args.topics:
-        raise SettingsError(f"record: topics = {args.topics[0]!r}: must be empty with --repair")
+    if args.ros_arguments:
+        raise SettingsError(f"{args.ros_arguments[0]}: must be left out with --repair, which starts no node")
     report = repair(args.repair)
     print_result({**asdict(report), "intact": report.intact}, _repair_lines(report), as_json=args.json)
     return 1 if report.failed else 0

@@ -6,16 +6,21 @@ from importlib import import_module
 from typing import NamedTuple
 
 from scara_effmass.cli.options import Option, options_of
+from scara_effmass.errors import SettingsError
 from scara_effmass.input_files import read_table
 from scara_effmass.wire.topics import RECORDED
 
 
 class Command(NamedTuple):
-    """Help and options of one command. Exactly one option of a tuple is required."""
+    """Help and options of one command. Exactly one option of a tuple is required.
+
+    `needs` has options that have an effect only with one of others.
+    """
 
     summary: str
     epilog: str
     options: tuple[Option | tuple[Option, ...], ...]
+    needs: tuple[tuple[Option, tuple[Option, ...]], ...]
 
 
 NODES = ("monitor", "daq", "validator", "speed_scaling", "sim", "visualization")
@@ -48,14 +53,34 @@ def _commands() -> dict[str, Command]:
         own: list[Option | tuple[Option, ...]] = []
         for item in stated["options"]:
             own += [tuple(options_of(*item))] if isinstance(item, list) else options_of(item)
-        commands[name] = Command(
-            stated["summary"], stated["epilog"].replace("{recorded}", ", ".join(RECORDED)), tuple(own)
-        )
+        by_name = {text: option for item in own for option in _each(item) for text in option.names}
+        needs = [
+            (option, tuple(by_name[text] for text in needed.split()))
+            for needed, items in stated.get("needs", {}).items()
+            for item in items
+            for option in ([by_name[item]] if item in by_name else options_of(item))
+        ]
+        epilog = stated["epilog"].replace("{recorded}", ", ".join(RECORDED))
+        commands[name] = Command(stated["summary"], epilog, tuple(own), tuple(needs))
     return commands
+
+
+def _each(item: Option | tuple[Option, ...]) -> tuple[Option, ...]:
+    return item if isinstance(item, tuple) else (item,)
 
 
 COMMANDS = _commands()
 """Commands by name."""
+
+
+def check_options(args: argparse.Namespace) -> None:
+    """Raise SettingsError for a stated option that would have no effect, because the one that it needs is missing."""
+    for option, needed in COMMANDS[args.command].needs:
+        if option.is_stated(args) and not any(other.is_stated(args) for other in needed):
+            value = getattr(args, option.dest)
+            values = ", ".join(map(str, value if isinstance(value, list) else [value]))
+            stated = option.shown if isinstance(value, bool) else f"{option.shown} = {values}"
+            raise SettingsError(f"{stated}: must come with {' or '.join(other.shown for other in needed)}")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -77,10 +77,6 @@ def run(args: argparse.Namespace) -> int:
         return _run_bag(args, dynamics, settings)
     if settings.robot:
         raise SettingsError("demo: --robot: the simulated cell has its own robot, an i4-550L; --robot needs --bag")
-    if args.topic:
-        raise SettingsError(f"demo: --topic = {args.topic}: the simulated cell has its own topic; it needs --bag")
-    if args.rate != 1.0:
-        raise SettingsError(f"demo: --rate = {args.rate:g}: the simulated cell has its own pace; it needs --bag")
     if settings.payload_mass or settings.payload_topic:
         raise SettingsError("demo: payload: the simulated robot carries none; it needs --bag")
     return _run_sim(args, dynamics, settings)

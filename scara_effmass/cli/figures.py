@@ -23,8 +23,6 @@ def run(args: argparse.Namespace) -> int:
     """Write figures and claims, and print a summary."""
     if args.robot:
         return _other_robot(args)
-    if args.params:
-        raise SettingsError(f"--params = {args.params}: must be for another robot than the paper's, so with --robot")
     with progress_bar() as progress:
         task = progress.add_task("figures", total=STEPS)
         inputs = read_inputs(load_dynamics(MonitorSettings()), args.campaign or share("bags", "campaign"))

@@ -10,6 +10,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from scara_effmass.errors import SettingsError
 from scara_effmass.settings import load_settings
 
 
@@ -17,6 +18,8 @@ def run(args: argparse.Namespace) -> int:
     """Run the node of `args.command` until it is stopped."""
     options = vars(args).copy()
     quiet, verbose = options.pop("quiet"), options.pop("verbose")
+    if quiet and verbose:
+        raise SettingsError("--quiet: must be without --verbose")
     name, ros_arguments, params = options.pop("command"), options.pop("ros_arguments"), options.pop("params", None)
     node = import_module(f"scara_effmass.nodes.{name}_node")
     if params:

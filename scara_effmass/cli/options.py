@@ -53,6 +53,16 @@ class Option:
         """Attribute of the parsed arguments, for most options a setting."""
         return str(self.keywords.get("dest", self.names[-1].lstrip("-").replace("-", "_")))
 
+    @property
+    def shown(self) -> str:
+        """Name in messages: the longest one, of an argument its metavar."""
+        return self.names[-1] if self.names[-1].startswith("-") else str(self.keywords["metavar"])
+
+    def is_stated(self, args: argparse.Namespace) -> bool:
+        """Return whether `args` have another value than the default."""
+        default = self.keywords.get("default", False if self.keywords.get("action") == "store_true" else None)
+        return getattr(args, self.dest) not in (default, [])
+
 
 _FIELDS = {
     name: field

@@ -60,8 +60,6 @@ def _schema(_: argparse.Namespace) -> int:
 def _init(args: argparse.Namespace) -> int:
     check_output_path(args.output, overwrite=args.force, mark=MARK)
     settings = monitor_settings(args)
-    if args.topic and not args.recording:
-        raise SettingsError(f"--topic = {args.topic}: must come with --from")
     if args.map:
         if args.recording:
             raise SettingsError("--map: must be without --from: the speeds of one cannot be compared with the other's")
@@ -116,9 +114,6 @@ def _add_workspace(plan: Plan, args: argparse.Namespace, settings: MonitorSettin
 
 def _fill(args: argparse.Namespace) -> int:
     target, folder = args.output or args.protocol, args.protocol.parent
-    stated = [name for name in ("test", "force_from", "force_topic", "topic") if getattr(args, name)]
-    if stated and not args.bags:
-        raise SettingsError(f"--{stated[0].replace('_', '-')}: must come with the recordings (BAG) to enter")
     overwrite = args.force or target == args.protocol
     check_output_path(target, overwrite=overwrite, mark=MARK)
     protocol, losses = read_protocol(args.protocol), list[str]()

@@ -54,6 +54,8 @@ def open_run(args: argparse.Namespace, name: str, *, is_small: bool = False) -> 
     results must be picklable. Running raises SettingsError where the scheduler does not answer, has no worker or runs
     another version.
     """
+    if args.scheduler and (args.jobs or args.memory_limit):
+        raise SettingsError(f"--scheduler = {args.scheduler}: must be without --jobs and --memory-limit")
     columns = TextColumn(name), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
     with ExitStack() as stack:
         progress = stack.enter_context(progress_bar(*columns))

@@ -83,8 +83,6 @@ def _recordings(args: argparse.Namespace) -> list[Path]:
 def validation_settings(args: argparse.Namespace) -> ValidationSettings:
     """Return the settings of --params, overridden by the other options. Raises SettingsError."""
     # The limits are those of the measured forces: a clamping monitor could give no prediction.
-    if args.force_offset is not None and not args.force_from:
-        raise SettingsError(f"argument --force-offset: {args.force_offset:g}: must come with --force-from")
     names = ("stiffness_n_m", "obstacle_mass", "obstacle_fixed", "plate_normal", "effective_mass_model")
     options = selected(args, "limits") | {name: getattr(args, name) for name in names}
     return ValidationSettings(

@@ -141,7 +141,12 @@ class DaqSettings(FrozenSettings):
     sim: SimSettings = SimSettings()
 
     def _needs(self) -> dict[str, tuple[bool, str]]:
-        return {"filter.cutoff": (self.filter.kind != "none", "a filter.kind")}
+        is_bag, needed = self.source == "bag", "source = bag"
+        return {
+            "filter.cutoff": (self.filter.kind != "none", "a filter.kind"),
+            "bag.path": (is_bag, needed),
+            "bag.topic": (is_bag, needed),
+        }
 
 
 class ImportSettings(FrozenSettings):

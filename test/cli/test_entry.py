@@ -159,11 +159,36 @@ REFUSALS: dict[str, tuple[list[str], str]] = {
         ["demo", "--bag", TOUR, "--topic", "/arm"],
         "--topic = /arm: must be one of /joint_states (sensor_msgs/msg/JointState)",
     ),
-    "topic of a demo without a bag": (["demo", "--topic", "/arm"], "demo: --topic = /arm: the simulated cell has"),
-    "rate of a demo without a bag": (["demo", "--rate", "2"], "demo: --rate = 2: the simulated cell has its own pace"),
+    "topic of a demo without a bag": (["demo", "--topic", "/arm"], "--topic = /arm: must come with --bag"),
+    "rate of a demo without a bag": (["demo", "--rate", "2"], "--rate = 2.0: must come with --bag"),
+    "topic of a cell without a bag": (["init", "--topic", "/arm"], "--topic = /arm: must come with --bag"),
+    "language without a report": (
+        ["assess", TOUR, "-o", "a.csv", "--language", "de"],
+        "--language = de: must come with --report",
+    ),
+    "memory of a scheduler": (
+        ["assess", TOUR, "-o", "a.csv", "--scheduler", "tcp://127.0.0.1:1", "--memory-limit", "4"],
+        "--scheduler = tcp://127.0.0.1:1: must be without --jobs and --memory-limit",
+    ),
+    "replacement without output": (["lump", "--force"], "--force: must come with --output"),
+    "replacement without a picture": (["doctor", "--force"], "--force: must come with --hulls"),
+    "contact without a mass": (["limits", "--contact", "transient"], "--contact = transient: must come with --mass"),
+    "quiet and verbose": (["monitor", "-q", "-v"], "--quiet: must be without --verbose"),
     "force of a protocol without a bag": (
         ["protocol", "fill", "protocol.yaml", "--force-from", "device.csv"],
-        "--force-from: must come with the recordings (BAG) to enter",
+        "--force-from = device.csv: must come with BAG",
+    ),
+    "axis of a protocol without a bag": (
+        ["protocol", "fill", "protocol.yaml", "--axis", "x"],
+        "--axis = x: must come with BAG",
+    ),
+    "points of an empty protocol": (
+        ["protocol", "init", "-o", "new.yaml", "--points", "5"],
+        "--points = 5: must come with --from or --map",
+    ),
+    "samples of a recording": (
+        ["protocol", "init", "-o", "new.yaml", "--from", TOUR, "--samples", "5"],
+        "--samples = 5: must come with --map",
     ),
     "topic of a protocol without a bag": (
         ["protocol", "init", "-o", "new.yaml", "--topic", "/arm"],
@@ -251,6 +276,7 @@ def test_options_override_the_parameter_file(cli: Cli, tmp_path: Path) -> None:
 
 
 VERDICT_OPTIONS = {
+    "contact_areas",
     "max_acceleration",
     "max_joint_acceleration",
     "reaction_time",

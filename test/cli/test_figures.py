@@ -56,7 +56,7 @@ def test_campaign_belongs_to_the_paper_s_robot(refused: Refused, tmp_path: Path)
     )
     assert refused(*words) == f"--campaign = {tmp_path}: must belong to the paper's robot, so without --robot"
     params = ("--params", tmp_path / "cell.yaml")
-    assert "must be for another robot than the paper's" in refused("figures", "-o", tmp_path / "out", *params)
+    assert "must come with --robot" in refused("figures", "-o", tmp_path / "out", *params)
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "index.html").touch()
     assert "--force" in refused(*words[:5])

@@ -142,7 +142,10 @@ REFUSALS = {
     "invalid topic": (["record", "-o", "a", "b c"], "record: topic 'b c': "),
     "unwritable": (["record", "-o", "/proc/none/a"], "/proc/none/a: cannot be written"),
     "repair of a missing bag": (["record", "--repair", "a"], "a: does not exist"),
-    "repair with topics": (["record", "--repair", "a", "b"], "record: topics = 'b': must be empty with --repair"),
+    "repair with topics": (["record", "--repair", "a", "b"], "TOPIC = b: must come with --output"),
+    "repair with a limit": (["record", "--repair", "a", "--max-size", "5"], "--max-size = 5.0: must come with --out"),
+    "repair of all": (["record", "--repair", "a", "--all"], "--all: must come with --output"),
+    "repair with ROS arguments": (["record", "--repair", "a", "--", "-r", "a:=b"], "must be left out with --repair"),
     "unknown ROS parameter": (["record", "-o", "a", "--", "-p", "b:=1"], "recorder: no parameter 'b'"),
 }
 

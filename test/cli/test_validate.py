@@ -189,7 +189,7 @@ def test_force_files_are_as_many_as_recordings(refused: Refused, campaign: Path)
 @pytest.mark.parametrize(
     ("options", "problem"),
     [
-        (("--force-offset", "1"), "argument --force-offset: 1: must come with --force-from"),
+        (("--force-offset", "1"), "--force-offset = 1.0: must come with --force-from"),
         (("--fixed", "--obstacle-mass", "3"), "argument --fixed: must not come with --obstacle-mass 3"),
     ],
 )

@@ -35,6 +35,8 @@ DIRECTION = [1.0, 0.0, 0.0]
         ("monitor", "external_force_limit", 100.0, {"contact": "quasi_static"}),
         ("validator", "obstacle_mass", 3.0, {"obstacle_fixed": False}),
         ("daq", "filter.cutoff", 100.0, {"filter.kind": "causal"}),
+        ("daq", "bag.path", "run1", {"source": "bag"}),
+        ("daq", "bag.topic", "force", {"source": "bag"}),
     ],
 )
 def test_setting_without_effect_is_named_until_it_has_one(
