@@ -22,7 +22,7 @@ from scara_effmass.importers.force_file import (
     select_unit,
     uniform_samples,
 )
-from scara_effmass.importers.times import MAX_DIGITS, Decimals, Numbers, iso_ns, time_ns
+from scara_effmass.importers.times import MAX_DIGITS, NS_PER_UNIT, Decimals, Numbers, iso_ns, time_ns
 from scara_effmass.input_files import check_regular_file
 from scara_effmass.settings import ImportSettings
 from scara_effmass.wire.cdr import MAX_SEC, NS
@@ -30,7 +30,6 @@ from scara_effmass.wire.cdr import MAX_SEC, NS
 Rows = Iterator[tuple[int, list[str]]]
 
 DELIMITERS = "\t;,"
-NS_PER_UNIT = {"s": NS, "sec": NS, "ms": 1_000_000, "us": 1000, "µs": 1000, "ns": 1}
 BINARY_CHECK = 4096
 """Number of characters at the start of a file by which text is recognized."""
 MAX_LINE = 1 << 22

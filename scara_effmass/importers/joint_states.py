@@ -12,8 +12,8 @@ from pydantic import Field, StrictInt
 
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError, SettingsError
-from scara_effmass.importers.csv_file import NS_PER_UNIT, read_rows
-from scara_effmass.importers.times import Numbers, time_ns
+from scara_effmass.importers.csv_file import read_rows
+from scara_effmass.importers.times import NS_PER_UNIT, Numbers, time_ns
 from scara_effmass.input_files import read_yaml
 from scara_effmass.settings import checked
 from scara_effmass.settings.loading import FrozenSettings

@@ -14,12 +14,13 @@ from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.importers.force_file import (
     SPELLINGS,
     ForceFile,
+    check_seconds,
     refuse_settings,
     select_force,
     select_unit,
     uniform_samples,
 )
-from scara_effmass.importers.times import time_ns
+from scara_effmass.importers.times import axis_ns, time_ns
 from scara_effmass.input_files import read_text
 from scara_effmass.settings import ImportSettings
 from scara_effmass.values import FloatArray
@@ -30,9 +31,9 @@ X, COMMENT = "X_Value", "Comment"
 
 
 class _Channel(NamedTuple):
-    """A channel of one segment: its column and that of its times, and start [ns], X0, Delta_X [s] and unit.
+    """A channel of one segment: its column and that of its times, and start [ns], X0, Delta_X and units.
 
-    `samples` are those that the header states; 0 if it states none.
+    `samples` are those that the header states; 0 if it states none. X0 and Delta_X are in `x_unit`.
     """
 
     name: str
@@ -43,6 +44,8 @@ class _Channel(NamedTuple):
     x0: float
     dx: float
     unit: str
+    x_dimension: str
+    x_unit: str
 
 
 def open_lvm(path: Path, settings: ImportSettings) -> ForceFile:
@@ -63,7 +66,7 @@ def open_lvm(path: Path, settings: ImportSettings) -> ForceFile:
     except Exception as error:  # noqa: BLE001 - lvm_read raises any error at a damaged file
         raise BagError(f"{path}: cannot be read as a LabVIEW measurement file: {one_line(error)}") from None
     name = _name(path, [channel for channels, _ in segments for channel in channels], settings.topic)
-    times_ns, values, unit, stated = [], [], "", 0
+    times_ns, values, unit, stated, x_units = [], [], "", 0, set()
     for channels, segment in segments:
         for channel in channels:
             if channel.name == name:
@@ -72,12 +75,15 @@ def open_lvm(path: Path, settings: ImportSettings) -> ForceFile:
                 values.append(samples)
                 unit = unit or channel.unit
                 stated += channel.samples
+                x_units.add(channel.x_unit)
     origin = f"{path}: {name}"
     stamps_ns, force = np.concatenate(times_ns), np.concatenate(values)
     if not len(force) or np.any(np.diff(stamps_ns) < 0):
         raise BagError(f"{origin}: must have times that advance, also from segment to segment")
     unit = select_unit(settings.unit, unit, origin)
     sample_rate, blocks = uniform_samples(origin, stamps_ns, force)
+    if not settings.rate and "" in x_units:
+        check_seconds(sample_rate, len(force), f"{origin}: the X axis", "as X_Unit_Label, or in a CSV file")
     lost = f"{path}: has {len(force)} of the {stated} samples that it states; the rest is lost"
     losses = (lost,) if len(force) < stated else ()
     return ForceFile(f"{path.name}, {name}", unit, sample_rate, blocks, losses=lambda: losses)
@@ -102,18 +108,28 @@ def _channels(header: dict[Any, Any], segment: dict[str, Any]) -> Iterator[_Chan
                 return entries[place] if isinstance(entries, list) and 0 <= place < len(entries) else default
 
             date, time = (entry(key) or header.get(key, "") for key in ("Date", "Time"))
-            start_ns = time_ns(f"{date} {time}".replace("/", "-"), NS) if date and time else 0
             unit = str(entry("Y_Unit_Label"))
             yield _Channel(
                 name,
                 number,
                 x_column,
                 int(entry("Samples", default=0)),
-                start_ns,
+                _start_ns(date, time),
                 float(entry("X0", default=0.0)),
                 np.nan if x_column is not None else float(entry("Delta_X", default=np.nan)),
                 SPELLINGS.get(unit.lower(), unit),
+                str(entry("X_Dimension")),
+                str(entry("X_Unit_Label")),
             )
+
+
+def _start_ns(date: str, time: str) -> int:
+    if not (date and time):
+        return 0
+    try:
+        return time_ns(f"{date} {time}".replace("/", "-"), NS)
+    except ValueError:
+        raise ValueError(f"Date = {date}, Time = {time}: must be as 2025/12/31 and 23:59:58.5") from None
 
 
 def _samples(
@@ -124,11 +140,12 @@ def _samples(
     values = np.asarray(data[:, channel.column], np.float64)
     if rate and (channel.x_column is not None or channel.dx > 0.0):
         raise SettingsError(f"{origin}: rate = {rate:g}: must be empty, the file has times")
-    dx = 1.0 / rate if rate else channel.dx
-    if channel.x_column is None:
-        seconds = channel.x0 + np.arange(len(values)) * (dx or np.nan)
-    else:
-        seconds = data[:, channel.x_column]
+    if channel.x_dimension.lower() not in {"", "time"}:
+        raise BagError(f"{origin}: X_Dimension = {channel.x_dimension}: must be Time")
+    unit_s = axis_ns(channel.x_unit, f"{origin}: X_Unit_Label") / NS
+    dx = 1.0 / (rate * unit_s) if rate else channel.dx
+    x = channel.x0 + np.arange(len(values)) * (dx or np.nan) if channel.x_column is None else data[:, channel.x_column]
+    seconds = x * unit_s
     kept = np.isfinite(seconds)
     if not kept.any() or np.abs(seconds[kept]).max() + abs(channel.start_ns) / NS > MAX_SEC:
         remedy = f"or there must be a column {X}; without times, state --rate HZ"

@@ -2,7 +2,7 @@
 """Force from a TDMS file of LabVIEW or NI-DAQmx: a channel with waveform timing."""
 
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from nptdms.timestamp import TdmsTimestamp
 
 from scara_effmass.bags.bag import one_line
 from scara_effmass.errors import BagError, SettingsError
-from scara_effmass.importers.csv_file import NS_PER_UNIT, is_time_name
+from scara_effmass.importers.csv_file import is_time_name
 from scara_effmass.importers.force_file import (
     SPELLINGS,
     ForceFile,
@@ -27,6 +27,7 @@ from scara_effmass.importers.force_file import (
     split,
     uniform_samples,
 )
+from scara_effmass.importers.times import NS_PER_UNIT, axis_ns
 from scara_effmass.input_files import check_regular_file
 from scara_effmass.settings import ImportSettings
 from scara_effmass.values import FloatArray, ForceBlock
@@ -58,7 +59,7 @@ def open_tdms(path: Path, settings: ImportSettings) -> ForceFile:
     is_cut = file.file_status.incomplete_final_segment
     losses = (f"{path}: is cut off in its last segment; the rest is lost",) if is_cut else ()
     samples = np.asarray(_guarded(path, lambda: channel[:]), np.float64)
-    increment = _number(channel.properties.get("wf_increment", 0.0), "wf_increment", origin)
+    increment = _seconds(channel.properties, "wf_increment", 0.0, origin)
     if settings.time_column:
         times = [
             key for key in (settings.time_column, f"{channel.group_name}/{settings.time_column}") if key in channels
@@ -70,6 +71,8 @@ def open_tdms(path: Path, settings: ImportSettings) -> ForceFile:
         raise SettingsError(f"{origin}: rate = {settings.rate:g}: must be empty, the file has times")
     if increment and not settings.time_column:
         sample_rate, blocks = _waveform(path, channel, increment, samples, origin)
+        if not channel.properties.get("wf_xunit_string"):
+            check_seconds(sample_rate, len(samples), f"{origin}: wf_increment", "as wf_xunit_string, or in a CSV file")
     elif settings.rate:
         if len(samples) > settings.rate * MAX_SEC:
             raise BagError(f"{origin}: rate = {settings.rate:g}: must be larger, the file lasts over {MAX_SEC} s")
@@ -126,7 +129,7 @@ def _starts(
     previous: int | None = None
     for first, changes in _segments(path, channel.path):
         properties |= changes
-        period = _number(properties.get("wf_increment", increment), "wf_increment", origin)
+        period = _seconds(properties, "wf_increment", increment, origin)
         if abs(period - increment) > MAX_PERIOD_CHANGE * increment:
             raise BagError(f"{origin}: wf_increment changes from {period:g} to {increment:g} s: must be constant")
         start_ns = _start_ns(properties, increment * len(channel), origin)
@@ -136,7 +139,7 @@ def _starts(
 
 
 def _start_ns(properties: dict[str, Any], span_s: float, origin: str) -> int:
-    offset = _number(properties.get("wf_start_offset", 0.0), "wf_start_offset", origin)
+    offset = _seconds(properties, "wf_start_offset", 0.0, origin)
     if not abs(offset) < MAX_SPAN_S:
         raise BagError(f"{origin}: wf_start_offset = {offset:g}: must be less than {MAX_SPAN_S:g} s")
     start = properties.get("wf_start_time")
@@ -229,8 +232,12 @@ def _unit(channel: Any) -> str:  # noqa: ANN401 - nptdms has no types
     return SPELLINGS.get(stated.lower(), stated)
 
 
-def _number(value: Any, name: str, origin: str) -> float:  # noqa: ANN401
+def _seconds(properties: Mapping[str, Any], name: str, default: float, origin: str) -> float:
+    """Return a property of the time axis [s], `default` without it. Raises BagError."""
+    if (value := properties.get(name)) is None:
+        return default
+    unit_s = axis_ns(str(properties.get("wf_xunit_string", "")), f"{origin}: wf_xunit_string") / NS
     try:
-        return float(value)
+        return float(value) * unit_s
     except (TypeError, ValueError):
         raise BagError(f"{origin}: {name} = {value!r}: must be a number") from None

@@ -7,6 +7,7 @@ from datetime import datetime, timedelta, timezone
 from scara_effmass.errors import BagError
 from scara_effmass.wire.cdr import MAX_SEC, NS
 
+NS_PER_UNIT = {"s": NS, "sec": NS, "ms": 1_000_000, "us": 1000, "µs": 1000, "ns": 1}
 MAX_DIGITS = 20
 """Maximum number of digits of an integer time; longer ones are read as floats."""
 MIN_WHOLE = 100.0
@@ -35,6 +36,14 @@ def iso_ns(text: str) -> int | None:
     moment = datetime(year, month, day, int(hour), int(minute), 0, tzinfo=timezone.utc) - offset
     whole = (moment - datetime(1970, 1, 1, tzinfo=timezone.utc)) // timedelta(seconds=1) + int(second)
     return whole * NS + int((fraction or "0")[:9].ljust(9, "0"))
+
+
+def axis_ns(unit: str, origin: str) -> int:
+    """Return the nanoseconds in the `unit` of a time axis, empty for seconds. Raises BagError for another unit."""
+    unit = "s" if unit.lower() in {"", "second", "seconds"} else unit
+    if unit not in NS_PER_UNIT:
+        raise BagError(f"{origin} = {unit}: must be one of {', '.join(NS_PER_UNIT)}")
+    return NS_PER_UNIT[unit]
 
 
 class Numbers:

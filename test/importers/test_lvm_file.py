@@ -86,6 +86,26 @@ class TestFile:
             with pytest.raises(SettingsError, match="Force: rate = 50: must be empty, the file has times"):
                 imported(write(path, text(columns=columns)), rate=50.0)
 
+    @pytest.mark.parametrize("columns", ["No", "One"])
+    def test_times_in_another_unit(self, tmp_path: Path, columns: str) -> None:
+        content = text(columns=columns).replace("X0", "X_Unit_Label\tms\tms\nX0")
+        assert imported(write(tmp_path / "a.lvm", content))[0].sample_rate == pytest.approx(1e5)
+        with pytest.raises(BagError, match="Force: X_Unit_Label = Hz: must be one of s, sec, ms"):
+            imported(write(tmp_path / "a.lvm", content.replace("ms", "Hz")))
+        content = text(columns=columns).replace("X0", "X_Dimension\tFrequency\tFrequency\nX0")
+        with pytest.raises(BagError, match="Force: X_Dimension = Frequency: must be Time"):
+            imported(write(tmp_path / "a.lvm", content))
+
+    def test_times_without_a_unit_that_are_no_seconds_are_refused(self, tmp_path: Path) -> None:
+        content = text().replace("0.01", "1.0") + "1.0\t1.0\n" * 100
+        with pytest.raises(BagError, match="Force: the X axis: states no unit, and in seconds the rate would be 1 Hz"):
+            imported(write(tmp_path / "a.lvm", content))
+
+    @pytest.mark.parametrize("date", ["12/31/2025", "03/04/2025"])
+    def test_date_with_the_month_first_is_refused(self, tmp_path: Path, date: str) -> None:
+        with pytest.raises(BagError, match=f"Date = {date}, Time = .*: must be as 2025/12/31 and"):
+            imported(write(tmp_path / "a.lvm", text().replace("2025/01/01", date)))
+
     def test_a_pickle_beside_it_is_not_read(self, tmp_path: Path) -> None:
         (tmp_path / "a.lvm.pkl").write_bytes(b"cos\nsystem\n(S'touch /tmp/never'\ntR.")
         assert len(force_of(imported(write(tmp_path / "a.lvm", text())))) == 3

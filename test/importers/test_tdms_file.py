@@ -94,6 +94,7 @@ def test_values_that_are_not_finite_are_lost(tmp_path: Path) -> None:
         ({"g/c": {"wf_increment": 0.0}}, {}, r"g/c: wf_increment = 0.0: must be the sampling period \[s\]"),
         ({"g/c": {"wf_increment": 1e300}}, {}, r"g/c: wf_increment = 1e\+300: must be the sampling period"),
         ({"g/c": {"wf_start_offset": float("inf")}}, {}, "g/c: wf_start_offset = inf: must be less than"),
+        ({"g/c": {"wf_xunit_string": "Hz"}}, {}, "g/c: wf_xunit_string = Hz: must be one of s, sec, ms"),
         ({"g/c": {"wf_increment": "soon"}}, {}, "g/c: wf_increment = 'soon': must be a number"),
         (
             {"g/c": {"wf_start_time": np.datetime64("1900-01-01", "us")}},
@@ -194,6 +195,15 @@ def test_times_without_a_unit_that_are_no_seconds_are_refused(tmp_path: Path) ->
     force = np.arange(1000.0), {"unit_string": "N"}
     path = write(tmp_path / "run.tdms", {"g/Time": (np.arange(1000) * 2.0, {}), "g/Force": force})
     with pytest.raises(BagError, match=r"g/Time: states no unit, and in seconds the rate would be 0\.5 Hz; must state"):
+        imported(path)
+
+
+def test_period_in_another_unit(tmp_path: Path) -> None:
+    period = {"wf_increment": 2.0, "wf_xunit_string": "ms"}
+    path = write(tmp_path / "run.tdms", {"g/Force": (np.arange(1000.0), TIMING | {"unit_string": "N"} | period)})
+    assert imported(path)[0].sample_rate == pytest.approx(500.0)
+    path = write(tmp_path / "bare.tdms", {"g/Force": (np.arange(1000.0), {"unit_string": "N", "wf_increment": 2.0})})
+    with pytest.raises(BagError, match=r"g/Force: wf_increment: states no unit, .* would be 0\.5 Hz"):
         imported(path)
 
 
