@@ -22,7 +22,7 @@ from scara_effmass.importers.force_file import (
     select_unit,
     uniform_samples,
 )
-from scara_effmass.importers.times import MAX_DIGITS, NS_PER_UNIT, Decimals, Numbers, iso_ns, time_ns
+from scara_effmass.importers.times import MAX_DIGITS, NS_PER_UNIT, Decimals, Midnights, Numbers, iso_ns, time_ns
 from scara_effmass.input_files import check_regular_file
 from scara_effmass.settings import ImportSettings
 from scara_effmass.wire.cdr import MAX_SEC, NS
@@ -320,7 +320,7 @@ def _samples(
         rule = f"must be one of {', '.join(NS_PER_UNIT)}; without times, state --rate HZ"
         raise BagError(f"{path}: {header[time]}: has the unit {unit}; {rule}")
     previous_ns, previous = -MAX_SEC * NS - 1, ""
-    decimals = Decimals()
+    decimals, midnights = Decimals(), Midnights()
     for count, (line, row) in enumerate(rows):
         if not all(len(row) > column and row[column] for column in (time, force) if column is not None):
             continue
@@ -336,7 +336,7 @@ def _samples(
         else:
             origin = f"{path}: line {line}: {header[time]} = {row[time]}"
             try:
-                stamp_ns = time_ns(row[time], NS_PER_UNIT[unit], number)
+                stamp_ns = midnights.continued(row[time], time_ns(row[time], NS_PER_UNIT[unit], number))
             except OverflowError:
                 raise BagError(f"{origin}: must be within {MAX_SEC} s of 1970 or of the start") from None
             except ValueError:

@@ -13,7 +13,7 @@ from pydantic import Field, StrictInt
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.importers.csv_file import read_rows
-from scara_effmass.importers.times import NS_PER_UNIT, Numbers, time_ns
+from scara_effmass.importers.times import NS_PER_UNIT, Midnights, Numbers, time_ns
 from scara_effmass.input_files import read_yaml
 from scara_effmass.settings import checked
 from scara_effmass.settings.loading import FrozenSettings
@@ -99,7 +99,7 @@ def _joint_states(path: Path, mapping: Path, table: JointTable) -> Iterator[tupl
     Raises BagError for a row with fewer cells than the first one has up to its last name: which ones it lacks is
     unknown.
     """
-    names, number = tuple(table.joints), Numbers(table.delimiter)
+    names, number, midnights = tuple(table.joints), Numbers(table.delimiter), Midnights()
     rows = read_rows(path, table.delimiter)
     header = next(rows, (0, []))[1] if table.header else []
     columns = max((number for number, name in enumerate(header, start=1) if name), default=0)
@@ -120,7 +120,8 @@ def _joint_states(path: Path, mapping: Path, table: JointTable) -> Iterator[tupl
             raise BagError(f"{path}: line {line}: {problem}")
         try:
             if table.rate is None:
-                stamp_ns = _stamp_ns([row[i] for i in times], NS_PER_UNIT[table.time_unit], number)
+                cells = [row[i] for i in times]
+                stamp_ns = midnights.continued(cells[0], _stamp_ns(cells, NS_PER_UNIT[table.time_unit], number))
             else:
                 stamp_ns = round(count / table.rate * NS)
             position, velocity = (np.array([number(row[i]) for i in numbers]) for numbers in (positions, velocities))

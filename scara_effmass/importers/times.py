@@ -16,6 +16,10 @@ _ISO = re.compile(
     r"(?:(\d{4})-?(\d\d)-?(\d\d)[T ]\s*)?(\d\d):?(\d\d):?(\d\d)(?:[.,](\d+))?\s*(Z|UTC|[+-]\d\d(?::?\d\d)?)?"
 )
 
+_TIME_OF_DAY = re.compile(r"\s*\d\d:")
+DAY_NS = 86_400 * NS
+HALF_A_DAY_NS = DAY_NS // 2
+
 _DAY_FIRST = re.compile(r"^(\d\d)\.(\d\d)\.(\d{4})(?=[T ])")
 
 
@@ -82,6 +86,23 @@ class Decimals:
         if self._lengths == {3} and self._largest_whole >= MIN_WHOLE:
             rule = "must have no thousands separator, or decimals in every number"
             raise BagError(f"{origin}: 3 digits behind every mark, none in {self._largest_whole:g}: {rule}")
+
+
+class Midnights:
+    """Continues times of day without a date after midnight."""
+
+    def __init__(self) -> None:
+        self._previous_ns = self._midnight_ns = 0
+
+    def continued(self, text: str, stamp_ns: int) -> int:
+        """Return the time `stamp_ns` that `text` states, on the next day if the last one is over half a day later."""
+        if _TIME_OF_DAY.match(text):
+            stamp_ns += self._midnight_ns
+            if self._previous_ns - stamp_ns > HALF_A_DAY_NS:
+                self._midnight_ns += DAY_NS
+                stamp_ns += DAY_NS
+        self._previous_ns = stamp_ns
+        return stamp_ns
 
 
 def time_ns(text: str, ns_per_unit: int, number: Numbers | None = None) -> int:

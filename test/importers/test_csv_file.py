@@ -376,6 +376,21 @@ def test_times_in_iso_8601(tmp_path: Path, first: str, stamp_ns: int) -> None:
     assert blocks[0].sample_rate == pytest.approx(100.0)
 
 
+@pytest.mark.parametrize("day", ["", "2025-12-31 "])
+def test_times_of_day_continue_after_midnight(tmp_path: Path, day: str) -> None:
+    """A time with a date does not: its day states what follows."""
+    lines = [f"{day}{'23:59:59' if n < 50 else '00:00:00'}.{n * 20 % 1000:03d},{n}" for n in range(100)]
+    path = write(tmp_path / "cell.csv", "\n".join(["Time,f (N)", *lines]))
+    if day:
+        with pytest.raises(BagError, match=r"line 52: Time = .* must not be less than"):
+            imported(path)
+        return
+    blocks = imported(path)
+    assert (lost_in(blocks), blocks[0].stamp_ns) == ([], 86_399 * NS)
+    assert force_of(blocks) == [*range(100)]
+    assert blocks[0].sample_rate == pytest.approx(50.0)
+
+
 @pytest.mark.parametrize("text", ["2025-13-01T10:00:00", "2025-01-01T25:00:00", "01.13.2025 10:00:00"])
 def test_time_that_is_no_iso_8601_is_refused(tmp_path: Path, text: str) -> None:
     with pytest.raises(BagError, match=r"line 2: t = .*: must be digits .*, or in ISO 8601"):

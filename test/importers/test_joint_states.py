@@ -128,3 +128,8 @@ def test_iso_times_decimal_commas_and_no_header(tmp_path: Path) -> None:
 def test_decimal_commas_between_commas_are_refused(tmp_path: Path) -> None:
     with pytest.raises(BagError, match="has 4 fields, the first row 2: must be as many"):
         states_of(tmp_path, "t,a\n0,5,1,5\n", f"time: t\n{SIMPLE}")
+
+
+def test_times_of_day_continue_after_midnight(tmp_path: Path) -> None:
+    imported, _ = states_of(tmp_path, "t,a\n23:59:59.5,1\n00:00:00.5,1\n", f"time: t\n{SIMPLE}")
+    assert (imported.first_stamp_s, imported.last_stamp_s) == (86_399.5, 86_400.5)
