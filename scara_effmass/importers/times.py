@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Times and numbers as text: seconds, ISO 8601, dates with the day first, decimal point or comma."""
 
+import math
 import re
 from datetime import datetime, timedelta, timezone
 
@@ -59,7 +60,7 @@ class Numbers:
     def __call__(self, text: str) -> float:
         """Return the number. Raises ValueError, also for the other decimal mark than the numbers before."""
         found = {mark for mark in ".," if mark in text}
-        if not found <= set(self._marks) or len(found) > 1:
+        if not found <= set(self._marks) or len(found) > 1 or "_" in text:  # Python reads 1_0 as 10
             raise ValueError(text)
         if found:
             (self._marks,) = found
@@ -78,7 +79,7 @@ class Decimals:
         _, mark, digits = text.replace(",", ".").partition(".")
         if mark:
             self._lengths.add(len(digits))
-        else:
+        elif math.isfinite(value):
             self._largest_whole = max(self._largest_whole, abs(value))
 
     def check(self, origin: str) -> None:

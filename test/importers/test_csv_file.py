@@ -199,6 +199,7 @@ def test_samples_at_the_end_of_the_range_are_marked(tmp_path: Path) -> None:
         ("t,F,on\n0,1,x\nt,F (N),n\n1,2,3\n2,2,3\n", {}, "F: states no unit"),  # a recording above the header
         ("Date,Time,f (N)\n2025-01-01,10:00:00,1\n", {}, "line 2: Date = '2025-01-01': is a date; .* --time-column"),
         (",\n", {}, "line 1: has numbers; must be a header"),
+        ("t,f (N)\n0,1\n1,1_0\n", {}, r"line 3: f \(N\) = '1_0': must be digits"),
         ("sep=|\nt|f (N)\n0|1\n", {}, r"line 1: sep = \|: must be a comma, a semicolon or a tab"),
     ],
 )
@@ -389,6 +390,11 @@ def test_times_of_day_continue_after_midnight(tmp_path: Path, day: str) -> None:
     assert (lost_in(blocks), blocks[0].stamp_ns) == ([], 86_399 * NS)
     assert force_of(blocks) == [*range(100)]
     assert blocks[0].sample_rate == pytest.approx(50.0)
+
+
+def test_infinite_force_is_a_lost_sample(tmp_path: Path) -> None:
+    rows = "".join(f"{n / 100},{'inf' if n == 5 else f'{n}.000'}\n" for n in range(10))
+    assert lost_in(imported(write(tmp_path / "cell.csv", f"t,f (N)\n{rows}"))) == [(6, 1)]
 
 
 @pytest.mark.parametrize("text", ["2025-13-01T10:00:00", "2025-01-01T25:00:00", "01.13.2025 10:00:00"])
