@@ -245,12 +245,13 @@ def _continues(path: Path, named: Sequence[Path]) -> bool:
 def read_metadata(folder: Path, losses: LossLog) -> dict[str, Any]:
     """Return the content of metadata.yaml; empty if it is unusable."""
     path = folder / METADATA
-    try:
-        information = yaml.safe_load(path.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
-    except FileNotFoundError:
+    if not path.exists():
         losses.add(f"{path}: does not exist; read without it")
         return {}
-    except YAML_ERRORS:
+    try:
+        check_regular_file(path, BagError)
+        information = yaml.safe_load(path.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
+    except (*YAML_ERRORS, BagError):
         information = None
     if not isinstance(information, dict) or not isinstance(information.get("relative_file_paths"), list):
         losses.add(f"{path}: does not describe a bag; read without it")

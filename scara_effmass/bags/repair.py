@@ -15,6 +15,7 @@ from mcap.opcode import Opcode
 from scara_effmass.bags.batches import LossLog
 from scara_effmass.bags.files import (
     LOSSES_RECORD,
+    METADATA,
     REPAIR_RECORD,
     SPLIT_NAME,
     bag_files,
@@ -35,6 +36,7 @@ from scara_effmass.bags.mcap_bag import (
 from scara_effmass.bags.recorder import losses_custom_data
 from scara_effmass.bags.writer import BagFile, is_being_written, sync_folder, write_metadata
 from scara_effmass.errors import BagError, OutputError
+from scara_effmass.input_files import check_regular_file
 
 DAMAGED_SUFFIX = ".damaged"
 """Suffix of an original file that is kept because part of its content could not be copied."""
@@ -99,6 +101,7 @@ def _repair_bag(bag: Path) -> RepairReport:
         raise BagError(f"{bag}: contains no .mcap file; only MCAP bags can be repaired")
     if others:
         raise BagError(f"{others[0]}: must be decompressed or moved away first, as metadata.yaml will name .mcap files")
+    _check_one_bag(bag, paths)
     repaired: list[tuple[FileRepair, BagFile]] = []
     failed: list[str] = []
     for path in paths:
@@ -118,6 +121,12 @@ def _repair_bag(bag: Path) -> RepairReport:
     lost = [line.removeprefix(f"{bag}{os.sep}") for line in [*failed, *(line for file in files for line in file.lost)]]
     rewritten = _update_metadata(bag, information, files, [content for _, content in repaired], lost)
     return RepairReport(files, tuple(failed), metadata_rewritten=rewritten)
+
+
+def _check_one_bag(bag: Path, paths: Sequence[Path]) -> None:
+    """Raise BagError for the files of several bags, which metadata.yaml would join, and where it cannot be written."""
+    if bag.is_dir() and (metadata := bag / METADATA).exists():
+        check_regular_file(metadata, BagError)
 
 
 def _repair_file(path: Path) -> tuple[FileRepair, BagFile]:

@@ -5,7 +5,7 @@ import json
 import os
 import shutil
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -377,6 +377,21 @@ def test_a_pipe_is_refused_and_does_not_block(tmp_path: Path) -> None:
     os.mkfifo(pipe)
     with pytest.raises(BagError, match="is a device or a pipe"):
         repair(pipe)
+
+
+@pytest.mark.parametrize("make", [Path.mkdir, os.mkfifo])
+def test_metadata_that_are_no_file_are_read_over_and_not_repaired(
+    tmp_path: Path, make: Callable[[Path], object]
+) -> None:
+    folder = recorded(tmp_path / "bag")
+    (folder / "metadata.yaml").unlink()
+    make(folder / "metadata.yaml")
+    before = names(folder)
+    with open_bag(folder) as bag:
+        assert f"{folder / 'metadata.yaml'}: does not describe a bag; read without it" in bag.losses
+    with pytest.raises(BagError, match=r"metadata.yaml: cannot be read: must be a regular file"):
+        repair(folder)
+    assert names(folder) == before
 
 
 def test_a_file_elsewhere_is_repaired_by_itself(tmp_path: Path) -> None:
