@@ -127,6 +127,10 @@ def _check_one_bag(bag: Path, paths: Sequence[Path]) -> None:
     """Raise BagError for the files of several bags, which metadata.yaml would join, and where it cannot be written."""
     if bag.is_dir() and (metadata := bag / METADATA).exists():
         check_regular_file(metadata, BagError)
+    elif len(paths) > 1:
+        names = {match["name"] if (match := SPLIT_NAME.fullmatch(path.name)) else "" for path in paths}
+        if len(names) > 1 or "" in names:
+            raise BagError(f"{bag}: contains {len(paths)} bags: must be one of them ({paths[0].name}, ...)")
 
 
 def _repair_file(path: Path) -> tuple[FileRepair, BagFile]:

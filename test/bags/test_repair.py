@@ -379,6 +379,14 @@ def test_a_pipe_is_refused_and_does_not_block(tmp_path: Path) -> None:
         repair(pipe)
 
 
+def test_a_folder_of_several_bags_is_not_joined_to_one(tmp_path: Path) -> None:
+    for name in ("monday.mcap", "tuesday.mcap"):
+        write(tmp_path / name)
+    with pytest.raises(BagError, match=r"contains 2 bags: must be one of them \(monday.mcap, ...\)"):
+        repair(tmp_path)
+    assert names(tmp_path) == ["monday.mcap", "tuesday.mcap"]
+
+
 @pytest.mark.parametrize("make", [Path.mkdir, os.mkfifo])
 def test_metadata_that_are_no_file_are_read_over_and_not_repaired(
     tmp_path: Path, make: Callable[[Path], object]
