@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Convert force recordings of other programs to ForceBlocks, one by one or in a bag."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from pkgutil import resolve_name
 
@@ -57,13 +57,15 @@ def import_force(path: Path, settings: ImportSettings) -> tuple[ForceFile, Itera
         with open_bag(path) as bag:
             return import_wrenches(bag, settings)
     file: ForceFile = resolve_name(opener)(path, settings)
-    return file, _force_blocks(path, file, settings)
+    ends: list[str] = []
+    blocks = _force_blocks(path, file, settings, lambda line: ends.append(f"{path}: {line}"))
+    return replace(file, losses=lambda: (*file.losses(), *ends)), blocks
 
 
 def import_wrenches(bag: Bag, settings: ImportSettings) -> tuple[ForceFile, Iterator[ForceBlock]]:
     """Do the same with a topic of wrenches or numbers in an open bag."""
     file = read_wrench_topic(bag, settings)
-    return file, _force_blocks(bag.path, file, settings)
+    return file, _force_blocks(bag.path, file, settings, bag.add_loss)
 
 
 def write_force_bag(
@@ -96,8 +98,13 @@ def _write_topic(bag: BagWriter, topic: str, path: Path, settings: ImportSetting
     return content
 
 
-def _force_blocks(path: Path, file: ForceFile, settings: ImportSettings) -> Iterator[ForceBlock]:
-    """Yield the finite samples in newtons, compression positive; a block ends before a sample that is not finite."""
+def _force_blocks(
+    path: Path, file: ForceFile, settings: ImportSettings, add_loss: Callable[[str], object]
+) -> Iterator[ForceBlock]:
+    """Yield the finite samples in newtons, compression positive; a block ends before a sample that is not finite.
+
+    `add_loss` receives a line about samples before the first and after the last one.
+    """
     sensor = settings.sensor
     is_voltage = file.unit in VOLT_PER_UNIT
     unit_scale = VOLT_PER_UNIT[file.unit] if is_voltage else NEWTON_PER_UNIT[file.unit]
@@ -106,8 +113,9 @@ def _force_blocks(path: Path, file: ForceFile, settings: ImportSettings) -> Iter
         rule = f"must be stated for values in {file.unit}: --sensitivity MV_PER_N, from the sensor's certificate"
         raise SettingsError(f"{path}: sensor.sensitivity: {rule}")
     saturation = sensor.range * (1.0 - RANGE_TOLERANCE)
-    end = 0
+    begin = end = total = 0
     for block in file.blocks:
+        total = block.first_sample + len(block.force)
         with np.errstate(over="ignore", invalid="ignore"):  # damaged files hold huge numbers and signalling NaN
             values = block.force * unit_scale
             force = np.where(np.abs(values) <= MAX_VALUE, values * newton_scale, np.nan)
@@ -122,6 +130,9 @@ def _force_blocks(path: Path, file: ForceFile, settings: ImportSettings) -> Iter
                 # For a file in newtons, the sensor is unknown.
                 relative_uncertainty=sensor.sensitivity_uncertainty if is_voltage and not file.simulated else 0.0,
             )
+            begin = begin if end else part.first_sample
             end = part.first_sample + len(part.force)
     if not end:
         raise BagError(f"{path}: {file.description}: has no finite sample")
+    if begin or total > end:
+        add_loss(f"the first {begin} and the last {total - end} samples are no numbers")

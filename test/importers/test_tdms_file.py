@@ -88,6 +88,16 @@ def test_values_that_are_not_finite_are_lost(tmp_path: Path) -> None:
     assert blocks[1].stamp_ns == START_NS + round(4 / 12_800 * NS)
 
 
+def test_values_that_are_not_finite_at_the_ends_are_a_loss(tmp_path: Path) -> None:
+    values = np.array([np.nan, 1.0, np.nan, 2.0, np.inf, np.nan])
+    path = write(tmp_path / "run.tdms", {"g/c": (values, TIMING | {"unit_string": "N"})})
+    file, blocks = import_force(path, ImportSettings())
+    assert force_of(list(blocks)) == [1.0, 2.0]
+    assert file.losses() == (f"{path}: the first 1 and the last 2 samples are no numbers",)
+    whole, blocks = import_force(write(path, {"g/c": (values[3:4].repeat(3), TIMING)}), ImportSettings(unit="N"))
+    assert (len(list(blocks)), whole.losses()) == (1, ())
+
+
 @pytest.mark.parametrize(
     ("channels", "settings", "message"),
     [

@@ -122,6 +122,14 @@ def test_a_setting_without_effect_is_refused(tmp_path: Path, settings: dict[str,
         imported(path, **settings)
 
 
+def test_numbers_that_are_missing_at_the_end_are_a_loss(tmp_path: Path) -> None:
+    nan = serialized(FLOAT64, {"data": float("nan")})
+    messages = [*floats(TIMES_NS[:90]), *(("/load", FLOAT64, time_ns, nan) for time_ns in TIMES_NS[90:])]
+    file, blocks = import_force(path := write(tmp_path / "run", messages), ImportSettings())
+    assert len(force_of(list(blocks))) == 90
+    assert file.losses() == (f"{path}: the first 0 and the last 10 samples are no numbers",)
+
+
 def test_wrenches_of_two_sensors_are_refused(tmp_path: Path) -> None:
     left = wrenches(TIMES_NS[::2], TIMES_NS[::2])
     stamped = {"header": header(TIMES_NS[1], "up"), "wrench": wrench(0.0)}
