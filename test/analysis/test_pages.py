@@ -71,6 +71,7 @@ def test_a_translation_keeps_placeholders_and_numbers(language: str) -> None:
     for english, text in texts.items():
         assert sorted(re.findall(r"%\(\w+\)s|%%|…", english)) == sorted(re.findall(r"%\(\w+\)s|%%|…", text)), english
         assert text.strip() == text != ""
+        assert not re.search(r"\d,\d", text), "all numbers of a report have a decimal point"
 
 
 @pytest.mark.parametrize("name", REPORTS)
@@ -127,7 +128,7 @@ def test_reason_is_translated_with_its_words() -> None:
         ("contact 2, run.csv", "Kontakt 2, run.csv"),
         ("contact 2, 300.0 N in run.csv", "Kontakt 2, 300.0 N in run.csv"),
         ("contact 2, by 11 degrees", "Kontakt 2, um 11 Grad"),
-        ("contact 2, 3 s, 9 N after 0.5 s", "Kontakt 2, 3 s, 9 N nach 0,5 s"),
+        ("contact 2, 3 s, 9 N after 0.5 s", "Kontakt 2, 3 s, 9 N nach 0.5 s"),
     ],
 )
 def test_contacts_that_a_reason_names_are_translated(contact: str, german: str) -> None:
