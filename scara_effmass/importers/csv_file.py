@@ -234,9 +234,15 @@ def _lines(path: Path) -> Iterator[str]:
 def read_rows(path: Path, delimiter: str, start: int = 0, lines: Iterator[str] | None = None) -> Rows:
     """Yield line number and cells of each row, none of a blank one, in a file or its `lines` after number `start`.
 
-    Raises BagError for more cells than in the first row.
+    A first line of the file that states the delimiter to Excel is no row. Raises BagError for more cells than the first
+    row has.
     """
-    reader = csv.reader(_lines(path) if lines is None else lines, delimiter=delimiter, skipinitialspace=True)
+    if lines is None:
+        lines = _lines(path)
+        first = next(lines, "")
+        start = int(SEPARATOR.fullmatch(first.strip()) is not None)
+        lines = lines if start else chain([first], lines)
+    reader = csv.reader(lines, delimiter=delimiter, skipinitialspace=True)
     columns = 0
     try:
         for row in reader:

@@ -130,6 +130,13 @@ def test_decimal_commas_between_commas_are_refused(tmp_path: Path) -> None:
         states_of(tmp_path, "t,a\n0,5,1,5\n", f"time: t\n{SIMPLE}")
 
 
+def test_a_first_line_for_excel_is_no_header(tmp_path: Path) -> None:
+    imported, states = states_of(tmp_path, "sep=,\nt,a\n1,0.5\n2,0.5\n", f"time: t\n{SIMPLE}")
+    assert (imported.joint_states, states[0].position[0]) == (2, 0.5)
+    with pytest.raises(BagError, match="line 3: must have numbers in columns"):
+        states_of(tmp_path, "sep=,\nt,a\n1,x\n", f"time: t\n{SIMPLE}")
+
+
 def test_times_of_day_continue_after_midnight(tmp_path: Path) -> None:
     imported, _ = states_of(tmp_path, "t,a\n23:59:59.5,1\n00:00:00.5,1\n", f"time: t\n{SIMPLE}")
     assert (imported.first_stamp_s, imported.last_stamp_s) == (86_399.5, 86_400.5)
