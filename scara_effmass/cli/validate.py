@@ -2,11 +2,11 @@
 """`scara-effmass validate`."""
 
 import argparse
-from collections import Counter
 from functools import partial
 from pathlib import Path
 
 from scara_effmass.analysis.assessment import Time, input_lines
+from scara_effmass.analysis.dataset import without_copies
 from scara_effmass.analysis.output import check_output_files
 from scara_effmass.analysis.report import PAGE, PageOptions
 from scara_effmass.analysis.validation import (
@@ -69,10 +69,8 @@ def _validated(
 def _recordings(args: argparse.Namespace) -> list[Path]:
     """Return the recordings, of which none counts twice. Raises BagError, SettingsError."""
     paths = [path for argument in args.bags for path in find_bags(argument)]
-    counts = Counter(path.resolve() for path in paths)
-    for path in reversed(paths):
-        if counts[path.resolve()] > 1:  # its impacts would count twice
-            raise SettingsError(f"{path}: must be given only once")
+    for _, copy in without_copies(paths, "series")[1]:  # its impacts would count twice
+        raise SettingsError(f"{copy}: must be given only once")
     if len(args.force_from) not in {0, len(paths)}:
         raise SettingsError(
             f"argument --force-from: {len(args.force_from)} files: must be {len(paths)}, as many as BAGs"

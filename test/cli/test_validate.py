@@ -2,6 +2,7 @@
 """`validate`: a report, a summary, and an exit code that says whether the criterion is met."""
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -174,9 +175,14 @@ def test_bag_without_motion_or_force_is_named(refused: Refused, campaign: Path, 
     assert str(half) in refused("validate", campaign, half, "-o", "report")
 
 
-def test_recording_may_be_given_only_once(refused: Refused, campaign: Path) -> None:
-    again = campaign / ".." / campaign.name / "300_200_500g_1"
-    assert refused("validate", campaign, again, "-o", "report") == f"{again}: must be given only once"
+@pytest.mark.parametrize("is_copied", [False, True])
+def test_recording_may_be_given_only_once(refused: Refused, campaign: Path, tmp_path: Path, *, is_copied: bool) -> None:
+    recording = campaign / "300_200_500g_1"
+    again = tmp_path / "copy" if is_copied else campaign / ".." / campaign.name / "300_200_500g_1"
+    if is_copied:
+        shutil.copytree(recording, again)
+    line = f"{again}: same content as {recording}: must be given only once"
+    assert refused("validate", campaign, again, "-o", "report") == line
 
 
 def test_force_files_are_as_many_as_recordings(refused: Refused, campaign: Path) -> None:
