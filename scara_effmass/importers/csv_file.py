@@ -17,6 +17,7 @@ from scara_effmass.importers.force_file import (
     UNITS,
     ForceFile,
     check_seconds,
+    is_force_name,
     refuse_settings,
     select_force,
     select_unit,
@@ -50,6 +51,8 @@ REPEATED = re.compile(r"\.\d+$")
 """What pandas appends to a name that another column has."""
 WORD = re.compile(r"[^\W_]+")
 TIME_WORDS = {"t", "time", "times", "timestamp", "stamp", "date", "datetime", "elapsed", "zeit", "zeitstempel", "datum"}
+LONG_UNITS = {"min", "minutes", "h", "hours", "d", "days"}
+"""Units of time that are refused."""
 SEPARATOR = re.compile(r"(?i)sep=(.)")
 """First line by which Excel knows the delimiter."""
 DECIMAL_COMMA = re.compile(r"\s*[+-]?\d+,\d+\s*")
@@ -63,9 +66,9 @@ def open_csv(path: Path, settings: ImportSettings) -> ForceFile:
     """Read the column `settings.topic` at the times in `settings.time_column`, or at a constant `settings.rate`.
 
     Fields are separated by comma, semicolon or tab; with the last two, numbers may have a decimal comma. The header
-    states units, as in "Force (N)" or "force_n", or a row below it does; times without a unit are in seconds, or in
-    ISO 8601. Lines above the header are skipped. Without header, columns are numbered from 0. Rows without time or
-    force are skipped. Raises BagError or SettingsError.
+    states units, as in "Force (N)", "Force / N" or "force_n", or a row below it does; times without a unit are in
+    seconds, or in ISO 8601. Lines above the header are skipped. Without header, columns are numbered from 0. Rows
+    without time or force are skipped. Raises BagError or SettingsError.
     """
     refuse_settings(settings, ("axis",), str(path), "a column has no axes")
     header, rows, delimiter = _read(path, has_header=settings.header, has_times=not settings.rate)
@@ -311,7 +314,14 @@ def _unit(name: str) -> str:
     if match := BRACKETED.fullmatch(name):
         return _spelled(match[1])
     match = SUFFIXED.fullmatch(name)
-    return LOWER_CASE.get(match[1].lower(), "") if match else ""
+    if match and (unit := LOWER_CASE.get(match[1].lower())):
+        return unit
+    # "Time / ms", "Force in N": the last word, where the others say what it is.
+    *words, last = WORD.findall(name) or [""]
+    is_time, is_force = bool(TIME_WORDS & {*map(str.lower, words)}), is_force_name(" ".join(words))
+    last = _spelled(last)
+    is_unit = (is_time and last in {*NS_PER_UNIT, *LONG_UNITS}) or (is_force and last in UNITS)
+    return last if is_unit else ""
 
 
 def _samples(

@@ -199,6 +199,8 @@ def test_samples_at_the_end_of_the_range_are_marked(tmp_path: Path) -> None:
         ("t,F,on\n0,1,x\nt,F (N),n\n1,2,3\n2,2,3\n", {}, "F: states no unit"),  # a recording above the header
         ("Date,Time,f (N)\n2025-01-01,10:00:00,1\n", {}, "line 2: Date = '2025-01-01': is a date; .* --time-column"),
         (",\n", {}, "line 1: has numbers; must be a header"),
+        ("time_min,f (N)\n0,1\n", {}, "time_min: has the unit min; must be one of s, sec, ms"),
+        ("Time (s),Speed mm/s,Rate N/s\n0,1,2\n", {}, "must be one of Speed mm/s, Rate N/s"),
         ("t,f (N)\n0,1\n1,1_0\n", {}, r"line 3: f \(N\) = '1_0': must be digits"),
         ("sep=|\nt|f (N)\n0|1\n", {}, r"line 1: sep = \|: must be a comma, a semicolon or a tab"),
     ],
@@ -375,6 +377,17 @@ def test_times_in_iso_8601(tmp_path: Path, first: str, stamp_ns: int) -> None:
     blocks = imported(write(tmp_path / "cell.csv", "\n".join(["timestamp;f (N)", *lines])))
     assert blocks[0].stamp_ns == stamp_ns
     assert blocks[0].sample_rate == pytest.approx(100.0)
+
+
+@pytest.mark.parametrize(
+    "header", ["Time / ms,Force / kN", "Time in milliseconds,Force in kilonewtons", "t/ms,F/kN", "Zeit-ms,Kraft {kN}"]
+)
+def test_units_behind_a_name_without_brackets(tmp_path: Path, header: str) -> None:
+    """At 50 kHz, milliseconds could be seconds."""
+    rows = "".join(f"{n * 0.02:.2f},{n}\n" for n in range(100))
+    blocks = imported(write(tmp_path / "cell.csv", f"{header}\n{rows}"))
+    assert blocks[0].sample_rate == pytest.approx(50e3)
+    assert force_of(blocks)[:3] == [0.0, 1e3, 2e3]
 
 
 @pytest.mark.parametrize("day", ["", "2025-12-31 "])
