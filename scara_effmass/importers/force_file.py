@@ -29,6 +29,8 @@ NEWTON_PER_UNIT = {"N": 1.0, "kN": 1e3, "daN": 10.0, "lbf": 4.4482216152605, "kg
 """NIST SP 811, Appendix B.8."""
 VOLT_PER_UNIT = {"V": 1.0, "mV": 1e-3}
 SPELLINGS = {"newton": "N", "newtons": "N", "kilonewton": "kN", "kilonewtons": "kN", "volt": "V", "volts": "V"}
+SPELLINGS |= {"second": "s", "seconds": "s", "millisecond": "ms", "milliseconds": "ms"}
+SPELLINGS |= {"microsecond": "us", "microseconds": "us"}
 """Units spelled out, in lower case."""
 FORCE_NAME = re.compile(r"force|kraft|kräfte|\b(?:f[xyz]?\d*|load|last)\b")
 """What names a column or channel of force, in lower case, with spaces for underscores."""
@@ -72,13 +74,18 @@ class ForceFile:
     losses: Callable[[], tuple[str, ...]] = tuple
 
 
+def is_force_name(name: str) -> bool:
+    """Return whether a column or channel has a name of force."""
+    return FORCE_NAME.search(name.lower().replace("_", " ")) is not None
+
+
 def select_force(path: Path, channels: Sequence[tuple[str, str]], remedy: str = "") -> str:
     """Return the only one of the columns or channels, given by name and stated unit, that can be force.
 
     Those that are named force have priority, whatever their unit is; else those with a unit of force, but volts only if
     no other one is without a unit. Raises SettingsError if several remain.
     """
-    candidates = [name for name, _ in channels if FORCE_NAME.search(name.lower().replace("_", " "))]
+    candidates = [name for name, _ in channels if is_force_name(name)]
     if not candidates:
         has_force = any(unit in NEWTON_PER_UNIT for _, unit in channels)
         candidates = [name for name, unit in channels if unit in UNITS or not (unit or has_force)]
@@ -140,9 +147,24 @@ def uniform_samples(origin: str, stamps_ns: IntArray, values: FloatArray) -> tup
         raise BagError(f"{origin}: has {len(stamps_ns)} samples; must have at least 2")
     try:
         sampling = _sampling(stamps_ns[:HEAD])
+        _check_rate(stamps_ns, sampling.period_ns)
     except ValueError as error:
         raise BagError(f"{origin}: {error}") from None
     return NS / sampling.period_ns, _blocks(stamps_ns, values, sampling)
+
+
+def _check_rate(stamps_ns: IntArray, period_ns: float) -> None:
+    """Raise ValueError if a part longer than a burst has an even rate above that of the period."""
+    if len(stamps_ns) <= WINDOW:
+        return
+    steps_ns = sliding_window_view(np.diff(stamps_ns), WINDOW)[:: WINDOW // 4]
+    least_ns, largest_ns = steps_ns.min(axis=1), steps_ns.max(axis=1)
+    is_even = (least_ns > 0) & (largest_ns - least_ns <= 2.0 * STEP_TOLERANCE * least_ns)
+    faster = np.flatnonzero(is_even & (largest_ns < (1.0 - STEP_TOLERANCE) * period_ns))
+    if len(faster):
+        first = int(faster[0]) * (WINDOW // 4)
+        rates = f"{NS / np.median(steps_ns[faster[0]]):.6g} Hz from {(stamps_ns[first] - stamps_ns[0]) / NS:.3f} s on"
+        raise ValueError(f"has no constant rate: {rates}, {NS / period_ns:.6g} Hz on average: must be one in a file")
 
 
 def _blocks(stamps_ns: IntArray, values: FloatArray, sampling: _Sampling) -> Iterator[ForceBlock]:

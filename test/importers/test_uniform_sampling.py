@@ -108,6 +108,14 @@ def test_gap_at_the_edge_of_a_chunk_is_found() -> None:
         assert [(block.lost_samples, block.force[0]) for block in blocks if block.lost_samples] == [(7, float(at))]
 
 
+@pytest.mark.parametrize(("counts", "start_s"), [((190, 400, 660), 1.893), ((9000, 300), 89.999)])
+def test_part_of_a_higher_rate_is_refused(counts: tuple[int, ...], start_s: float) -> None:
+    """As of a logger that records events faster, at 1000 Hz in place of 100 Hz."""
+    steps_ns = np.repeat([10_000_000, 1_000_000, 10_000_000][: len(counts)], counts)
+    with pytest.raises(BagError, match=f"cell.csv: has no constant rate: 1000 Hz from {start_s} s on"):
+        sampled(T0 + np.cumsum(steps_ns))
+
+
 @pytest.mark.parametrize(
     ("times", "message"),
     [
