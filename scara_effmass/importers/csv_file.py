@@ -354,7 +354,8 @@ def _samples(
             try:
                 stamp_ns = midnights.continued(row[time], time_ns(row[time], NS_PER_UNIT[unit], number))
             except OverflowError:
-                raise BagError(f"{origin}: must be within {MAX_SEC} s of 1970 or of the start") from None
+                remedy = "" if _unit(header[time]) else "; without a unit, it is in seconds: head it with Time (ms)"
+                raise BagError(f"{origin}: must be within {MAX_SEC} s of 1970 or of the start{remedy}") from None
             except ValueError:
                 rule = "must have the time in the same column, or --time-column must name that of the times"
                 rule = f"is a date; {rule}" if DATE.fullmatch(row[time]) else TIMES

@@ -199,6 +199,11 @@ def test_samples_at_the_end_of_the_range_are_marked(tmp_path: Path) -> None:
         ("t,F,on\n0,1,x\nt,F (N),n\n1,2,3\n2,2,3\n", {}, "F: states no unit"),  # a recording above the header
         ("Date,Time,f (N)\n2025-01-01,10:00:00,1\n", {}, "line 2: Date = '2025-01-01': is a date; .* --time-column"),
         (",\n", {}, "line 1: has numbers; must be a header"),
+        (
+            "Time,f (N)\n1767225600000,1\n",
+            {},
+            r"line 2: Time = 1767225600000: must be .*: head it with Time",
+        ),
         ("time_min,f (N)\n0,1\n", {}, "time_min: has the unit min; must be one of s, sec, ms"),
         ("Time (s),Speed mm/s,Rate N/s\n0,1,2\n", {}, "must be one of Speed mm/s, Rate N/s"),
         ("t,f (N)\n0,1\n1,1_0\n", {}, r"line 3: f \(N\) = '1_0': must be digits"),
