@@ -15,6 +15,7 @@ from collections.abc import Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
+from urllib.parse import unquote
 
 import numpy as np
 import pinocchio as pin
@@ -198,7 +199,7 @@ def _mesh_points(shape: ET.Element, where: str, package_dirs: Sequence[Path]) ->
     name = shape.get("filename", "")
     scale = np.array(numbers_of(shape, "scale", where, 3, "1 1 1"))
     try:
-        file = name.partition("://")[2] or name
+        file = unquote(name.partition("://")[2]) or name
         package, _, rest = file.partition("/")
         places = chain(
             (folder / file for folder in (*package_dirs, Path("/"))),
@@ -206,13 +207,14 @@ def _mesh_points(shape: ET.Element, where: str, package_dirs: Sequence[Path]) ->
         )
         path = next(path for path in places if path.is_file())
         if path.suffix.lower() == ".dae":  # Pinocchio's loader ignores the unit, RViz does not
-            unit = re.search(rb"<unit[^>]*\smeter\s*=\s*[\"']([^\"']*)", path.read_bytes())
-            scale *= 1.0 if unit is None else float(unit[1])
+            unit = ET.parse(path).find("{*}asset/{*}unit")  # noqa: S314  a mesh is as trusted as its URDF
+            meter = 1.0 if unit is None else float(unit.get("meter", "1"))
+            scale *= meter if meter > 0.0 else math.nan
         points = np.array(pin.MeshLoader().load(str(path), scale).vertices(), dtype=float)
     except (StopIteration, OSError):
         remedy = "name the folder of its package, or one above, by package_dirs (--package-dir)"
         raise RobotError(f"{where}: mesh = {name!r}: must be a file that can be read: {remedy}") from None
-    except (ValueError, RuntimeError):
+    except (ValueError, RuntimeError, ET.ParseError):
         points = np.empty((0, 3))
     if not len(points) or not np.isfinite(points).all():
         raise RobotError(f"{where}: mesh = {name!r}: must be a mesh in STL, OBJ, COLLADA or the like")

@@ -140,19 +140,21 @@ def write_obj(path: Path) -> None:
     path.write_text("\n".join(lines) + "\n")
 
 
-def write_collada(path: Path, unit: str) -> None:
+def write_collada(path: Path, unit: str, encoding: str = "utf-8") -> None:
     numbers = " ".join(f"{x:g}" for x in 1000.0 * TETRAHEDRON.ravel())
     parameters = "".join(f'<param name="{axis}" type="float"/>' for axis in "XYZ")
     faces = " ".join(str(i) for face in FACES for i in face)
     path.write_text(
-        '<?xml version="1.0"?><COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">'
+        f'<?xml version="1.0" encoding="{encoding}"?>'
+        '<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">'
         f"<asset>{unit}<up_axis>Z_UP</up_axis></asset><library_geometries>"
         f'<geometry id="g"><mesh><source id="p"><float_array id="a" count="12">{numbers}</float_array>'
         f'<technique_common><accessor source="#a" count="4" stride="3">{parameters}</accessor></technique_common>'
         '</source><vertices id="v"><input semantic="POSITION" source="#p"/></vertices><triangles count="4">'
         f'<input semantic="VERTEX" source="#v" offset="0"/><p>{faces}</p></triangles></mesh></geometry>'
         '</library_geometries><library_visual_scenes><visual_scene id="s"><node id="n"><instance_geometry url="#g"/>'
-        '</node></visual_scene></library_visual_scenes><scene><instance_visual_scene url="#s"/></scene></COLLADA>'
+        '</node></visual_scene></library_visual_scenes><scene><instance_visual_scene url="#s"/></scene></COLLADA>',
+        encoding,
     )
 
 
@@ -272,11 +274,27 @@ class TestMeshes:
             assert excess(hull.vertices, points) < 1e-7  # the loader has single precision
             assert hull.looseness < 1.001
 
-    @pytest.mark.parametrize(("unit", "size"), [('<unit name="mm" meter="0.001"/>', 0.3), ("", 300.0)])
-    def test_unit_of_collada(self, tmp_path: Path, unit: str, size: float) -> None:
-        write_collada(tmp_path / "a.dae", unit)
+    @pytest.mark.parametrize(
+        ("unit", "size"),
+        [
+            ('<unit name="mm" meter="0.001"/>', 0.3),
+            ("", 300.0),
+            ('<unit name="metre"/>', 300.0),
+            ('<!-- <unit meter="0.001"/> --><unit meter="0.01"/>', 3.0),
+            ('<contributor><comments><![CDATA[<unit meter="0.001"/>]]></comments></contributor>', 300.0),
+        ],
+    )
+    @pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+    def test_unit_of_collada(self, tmp_path: Path, unit: str, size: float, encoding: str) -> None:
+        write_collada(tmp_path / "a.dae", unit, encoding)
         hull = upper_hull('<mesh filename="a.dae"/>', package_dirs=[tmp_path])
         assert np.ptp(hull.vertices, axis=0).max() == pytest.approx(size)
+
+    @pytest.mark.parametrize("meter", ["-0.001", "0", "nan", "inf", "1 mm", ""])
+    def test_wrong_unit_of_collada(self, tmp_path: Path, meter: str) -> None:
+        write_collada(tmp_path / "a.dae", f'<unit meter="{meter}"/>')
+        with pytest.raises(RobotError, match=r"link upper: collision: mesh = 'a\.dae': must be a mesh"):
+            upper_hull('<mesh filename="a.dae"/>', package_dirs=[tmp_path])
 
     def test_folders_of_packages(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         stated, prefix, urdf = tmp_path / "stated", tmp_path / "prefix", tmp_path / "own_package" / "urdf" / "arm.urdf"
@@ -284,6 +302,7 @@ class TestMeshes:
         write_stl(stated / "x_description" / "a.stl")
         write_stl(prefix / "share" / "y_description" / "a.stl")
         write_stl(urdf.parent / "near.stl")
+        write_stl(urdf.parent / "by hand" / "50%25.stl")
         write_stl(tmp_path / "own_package" / "meshes" / "a.stl")
         folders = package_folders(urdf, [stated])
         for name in (
@@ -294,6 +313,9 @@ class TestMeshes:
             "../meshes/a.stl",
             f"file://{urdf.parent}/near.stl",
             f"{urdf.parent}/near.stl",
+            "by hand/50%25.stl",
+            "package://own_package/urdf/by%20hand/50%2525.stl",
+            f"file://{urdf.parent}/by%20hand/50%2525.stl",
         ):
             assert_contains(
                 upper_hull(f'<mesh filename="{name}"/>', package_dirs=folders).vertices, TETRAHEDRON * 0.999
@@ -337,6 +359,7 @@ class TestMeshes:
             ("a.stl", "version https://git-lfs.github.com/spec/v1\n"),
             ("a.obj", "v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"),
             ("a.dae", '<COLLADA><asset><unit meter="x"/></asset></COLLADA>'),
+            ("a.dae", "<COLLADA><asset>"),
             ("a.xyz", ""),
         ],
     )
