@@ -114,6 +114,13 @@ def joint_state_topic(bag: Bag, requested: str | None) -> str:
     return bag.find_topic(requested or "", (JOINT_STATE,), "--topic").name
 
 
+def require_stated_robot(bag: Bag, settings: MonitorSettings) -> None:
+    """Raise BagError if `settings` leave the robot to the default, but `bag` describes one."""
+    for topic in bag.topics if not settings.robot else ():
+        if topic.name.endswith(ROBOT_DESCRIPTION) and topic.count:
+            raise BagError(f"{bag.path}: {topic.name} describes its robot: give the file of that one (--robot)")
+
+
 def assess_joint_states(
     bag: Bag,
     topic: str,
@@ -127,8 +134,8 @@ def assess_joint_states(
     The joint states have the robot's names, the stamps of `time`, and, if given, the `velocities` of another recording;
     their clocks are counted in `skew`. An undecodable message gives UNKNOWN and debounces the following verdicts.
     Payloads that were recorded on the `payload_topic` of the settings count from their log times on. Threads compute,
-    while this one admits and settles, in order. Raises BagError, at the end also if no joint state names a joint of the
-    robot.
+    while this one admits and settles, in order. Raises BagError, at first if the settings name no robot but the bag
+    describes one, and at the end if no joint state names a joint of the robot.
     """
     threads = min(len(os.sched_getaffinity(0)), MAX_THREADS)
     waiting: deque[Future[tuple[list[_Part], FloatArray]]] = deque()
@@ -190,6 +197,7 @@ def _admitted(
     bag: Bag, topic: str, monitor: Monitor, time: Time, velocities: RecordedVelocities | None, skew: ClockSkew
 ) -> Iterator[list[_Part]]:
     """Yield the joint states of the robot in batches, those that are refused included."""
+    require_stated_robot(bag, monitor.settings)
     size, total, clock_ns = max(ROWS // len(monitor.dynamics.contact_points), 1), 0, 0
     batch: list[_Part] = []
     count, payloads = 0, _Payloads(bag, monitor)
@@ -384,14 +392,11 @@ def other_topic_lines(bag: Bag, topic: str, monitor: Monitor) -> Iterator[tuple[
 
 
 def unapplied_lines(bag: Bag, settings: MonitorSettings) -> Iterator[tuple[str, str]]:
-    """Yield subject and text of each topic of `bag` with a payload or a robot that `settings` do not apply."""
+    """Yield subject and text of each topic of `bag` with a payload that `settings` do not apply."""
     for topic in bag.topics:
-        name, text = topic.name.lstrip("/"), ""
-        if topic.type == INERTIA and name != settings.payload_topic.lstrip("/"):
+        name = topic.name.lstrip("/")
+        if topic.type == INERTIA and topic.count and name != settings.payload_topic.lstrip("/"):
             text = f"payload, which is not applied: --payload-topic {name} applies it"
-        elif name.endswith(ROBOT_DESCRIPTION) and not settings.robot:
-            text = "robot, but the default one is assessed: give its file by --robot"
-        if text and topic.count:
             yield "other topic", f"{topic.name} states a {text}"
 
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from scara_effmass.analysis.assessment import Time, joint_state_topic
+from scara_effmass.analysis.assessment import Time, joint_state_topic, require_stated_robot
 from scara_effmass.analysis.output import json_types
 from scara_effmass.bags.files import open_bag
 from scara_effmass.codes import Reason
@@ -248,6 +248,7 @@ class _Motion:
         timeout_ns = round(self._settings.timeout * NS)
         intervals = Intervals(robot.periods, self._settings.timeout)
         with open_bag(path) as bag:
+            require_stated_robot(bag, self._settings)
             for block in bag.joint_state_blocks(joint_state_topic(bag, topic)):
                 layout, size = adapter.layout(block.names), len(block)
                 self.total += size

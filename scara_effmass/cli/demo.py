@@ -15,7 +15,12 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from scara_effmass.analysis.assessment import generated_description, joint_state_topic, payload_topics
+from scara_effmass.analysis.assessment import (
+    generated_description,
+    joint_state_topic,
+    payload_topics,
+    require_stated_robot,
+)
 from scara_effmass.analysis.contacts import recorded_contacts
 from scara_effmass.analysis.output import check_output_files
 from scara_effmass.analysis.report import PAGE, PageOptions
@@ -183,6 +188,7 @@ class LiveRun(NamedTuple):
 def _run_bag(args: argparse.Namespace, dynamics: RobotDynamics, settings: MonitorSettings) -> int:
     """Replay the recording live and write the report."""
     with open_bag(args.bag) as bag:
+        require_stated_robot(bag, settings)
         topic = joint_state_topic(bag, args.topic)
         topics = [topic, *payload_topics(bag, settings.payload_topic)]
         topics += [topic.name for topic in bag.topics if topic.type == RUN_INFO]

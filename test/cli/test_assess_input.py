@@ -276,14 +276,36 @@ def test_topic_beside_the_assessed_one_is_named_with_what_it_states(swing_bag: P
             )
             both.write_joint_states(topic, moving)
         both.write("/payload", INERTIA, START_NS, b"")
-        both.write("/robot_description", STRING, START_NS, b"")
     result = json.loads(cli("assess", tmp_path / "two", "-o", tmp_path / "a.csv", "--json").stdout)
     assert sorted(text for subject, text in result["input"] if subject == "other topic") == [
         "/door/joint_states is not assessed",
         "/payload states a payload, which is not applied: --payload-topic payload applies it",
         "/rail/joint_states is not assessed, but joints outside the model moved: rail",
-        "/robot_description states a robot, but the default one is assessed: give its file by --robot",
     ]
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("assess", "-o", "a.csv"),
+        ("advise", "-o", "a"),
+        ("coverage", "-o", "a"),
+        ("identify", "-o", "a"),
+        ("demo", "--bag"),
+    ],
+)
+def test_recording_that_describes_its_robot_is_not_assessed_as_the_default_one(
+    swing_bag: Path, cli: Cli, refused: Refused, tmp_path: Path, command: tuple[str, ...]
+) -> None:
+    with open_bag(swing_bag) as bag, BagWriter(tmp_path / "described") as described:
+        for message in bag.messages():
+            described.write(message.topic, message.type, message.log_time_ns, message.data)
+        described.write("/arm/robot_description", STRING, START_NS, b"")
+    name, *options = command
+    rule = "/arm/robot_description describes its robot: give the file of that one (--robot)"
+    assert refused(name, *options, tmp_path / "described").endswith(f"described: {rule}")
+    robot = share("config", "omron_i4_550l.yaml")
+    assert cli("assess", tmp_path / "described", "-o", tmp_path / "b.csv", "--robot", robot).returncode == 0
 
 
 def test_joint_outside_the_model_is_named_or_ignored(changed_bag: MakeBag, cli: Cli, tmp_path: Path) -> None:
