@@ -375,6 +375,8 @@ def read_urdf(text: str, origin: str, locked_joints: Sequence[str]) -> UrdfTree:
         _check_pose(joint, where)
         for dynamics in joint.findall("dynamics"):
             dynamics.attrib.setdefault("damping", "0")  # urdfdom refuses an armature alone
+            for key in ("damping", "friction"):
+                numbers_of(dynamics, key, where, 1, default="0")
     return UrdfTree(root, origin, locked_joints)
 
 
@@ -755,8 +757,9 @@ def _check_limit(joint: ET.Element, where: str, *, is_held: bool) -> None:
     lower, upper = (numbers_of(limit, key, where, 1, default="0", largest=math.inf)[0] for key in ("lower", "upper"))
     if lower >= upper and not is_held:
         raise RobotError(f"{where}: limit lower = {lower:g}: must be < upper = {upper:g}{hint}")
-    if numbers_of(limit, "velocity", where, 1, largest=math.inf)[0] < 0.0:
-        raise RobotError(f"{where}: limit velocity = {limit.get('velocity')!r}: must not be negative")
+    for key in ("effort", "velocity"):
+        if numbers_of(limit, key, where, 1, largest=math.inf)[0] < 0.0:
+            raise RobotError(f"{where}: limit {key} = {limit.get(key)!r}: must not be negative")
 
 
 def _by_name(root: ET.Element, tag: str, origin: str) -> dict[str, ET.Element]:

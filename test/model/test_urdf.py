@@ -343,6 +343,18 @@ class TestFixedJoints:
         ('lower="-2"', 'lower="nan"', "joint j1: <limit lower> = 'nan': must be 1 finite number"),
         ('velocity="3"', 'velocity="-3"', "joint j1: limit velocity = '-3': must not be negative"),
         ('velocity="3"', "", "joint j1: <limit velocity> = '': must be 1 finite number"),
+        ('effort="1"', 'effort="-1"', "joint j1: limit effort = '-1': must not be negative"),
+        ('effort="1"', 'effort="inf"', "joint j1: <limit effort> = 'inf': must be 1 finite number"),
+        (
+            '<axis xyz="0 0 1"/>',
+            '<dynamics damping="x"/>',
+            "joint j1: <dynamics damping> = 'x': must be 1 finite number",
+        ),
+        (
+            '<axis xyz="0 0 1"/>',
+            '<dynamics friction="1 N"/>',
+            "joint j1: <dynamics friction> = '1 N': must be 1 finite",
+        ),
         ('<limit lower="-2" upper="2" effort="1" velocity="3"/>', "", "joint j1: must have <limit>"),
         ('<axis xyz="0 0 1"/>', '<axis xyz="0 0 0"/>', "joint j1: axis = '0 0 0': must have a direction"),
         ('<axis xyz="0 0 1"/>', '<axis xyz="0 0 9e-10"/>', "joint j1: axis = '0 0 9e-10': must have a direction"),
