@@ -139,7 +139,7 @@ def test_jaw_without_a_second_one_counts_as_locked_in_the_mass_and_moves() -> No
     robot, beside = ur5_with(jaw), ur5_with(jaw, contact_points=("clip=clip_tip",))
     assert robot.joint_names[-1] == "drive"
     (note,) = (note for note in robot.notes if "counts as locked" in note)
-    assert note.startswith("drive counts as locked in the masses, not in the motion: free it would make clip_tip light")
+    assert note.startswith("counts as locked in the masses, not in the motion: drive: free, clip_tip would be light")
     without = range(6)
     for q in robot.sample_configurations():
         mobility = next(iter(RobotDynamics(robot).at(q).contacts[0].mobilities.values()))
@@ -160,11 +160,27 @@ def test_jaw_without_a_second_one_counts_as_locked_in_the_mass_and_moves() -> No
     assert float(np.linalg.norm(free.velocity)) == pytest.approx(float(np.hypot(0.08, 0.02)), rel=1e-6)
 
 
+def test_jaw_on_a_light_joint_counts_as_locked_with_it() -> None:
+    parts = [part("mount", 0.05), part("jaw", 0.05)]
+
+    def ending(mount: str, jaw: str) -> Robot:
+        first = moved("pan", "tool0", "mount", "0 0 0.05", kind=mount)
+        return ur5_with([*parts, first, moved("clip", "mount", "jaw", "0 0 0.1", kind=jaw)])
+
+    both, neither = ending("revolute", "revolute"), ending("fixed", "fixed")
+    (note,) = (note for note in both.notes if "counts as locked" in note)
+    assert note.startswith("counts as locked in the masses, not in the motion: pan, clip: free, jaw would be light")
+    assert both.joint_names[-2:] == ("pan", "clip")
+    free, locked = map(float, re.findall(r"typically (\S+) in place of (\S+) kg", note)[0])
+    assert (free < 0.1, locked > 1.0) == (True, True)
+    assert masses(both) > 0.5 * masses(neither)
+
+
 @pytest.mark.parametrize(("mass", "is_locked"), [(0.17, True), (0.23, False)])
 def test_end_counts_as_locked_where_its_free_joint_would_halve_the_mass(mass: float, *, is_locked: bool) -> None:
     end = [part("clip", mass), moved("drive", "tool0", "clip"), part("clip_tip", 0.01)]
     robot = ur5_with([*end, moved("end", "clip", "clip_tip", "0 0 0.01", kind="fixed")])
-    notes = [note for note in robot.notes if note.startswith("drive counts as locked")]
+    notes = [note for note in robot.notes if "counts as locked in the masses, not in the motion: drive:" in note]
     assert len(notes) == is_locked
     for note in notes:
         free, locked = map(float, re.findall(r"typically (\S+) in place of (\S+) kg", note)[0])
