@@ -135,6 +135,8 @@ def _lines(task: _MapTask, made: _MapResult) -> Iterator[tuple[str, object]]:
         yield subject, f"{values} {'m/s' if is_speed else 'kg'}"
     if len(deciding) > 1:
         yield "decided by", f"{shares(deciding)} of the cells"
-    rise = "{p50:.1%} (median), {p95:.1%} (P95)".format(**summary["rise_by_second_half"])
-    yield "completeness", f"its second half raised the bound of a cell by {rise}"
+    text = "its halves reached no cell in common: give more --samples"
+    if rise := summary["rise_by_second_half"]:
+        text = "its second half raised the bound of a cell by {p50:.1%} (median), {p95:.1%} (P95)".format(**rise)
+    yield "completeness", text
     yield "written", task.folder / f"{NAME}.png"

@@ -66,6 +66,12 @@ def test_map_of_several_contacts_says_which_decides(cli: Cli, tmp_path: Path) ->
     assert "of all contacts min" in done.stdout
 
 
+def test_sample_whose_halves_share_no_cell_is_said_to_be_too_small(cli: Cli, tmp_path: Path) -> None:
+    done = cli("map", UR5, "--contact-point", "upper_arm_link", "-o", tmp_path / "map", "--samples", "2000")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "completeness    its halves reached no cell in common: give more --samples" in done.stdout
+
+
 @pytest.mark.parametrize(
     ("words", "rule"),
     [
