@@ -39,6 +39,8 @@ _RULES = {
     "tuple_type": "must be a list",
     "model_type": _GROUP,
     "dict_type": _GROUP,
+    "string_too_short": "must not be empty",
+    "too_short": "must not be empty",
 }
 """Rules by pydantic's type of error, for which pydantic's own text is about Python."""
 

@@ -88,7 +88,7 @@ def test_contact_points_can_be_selected(omron_rows: dict[str, Any], tmp_path: Pa
     [
         ("robot", ..., "robot: must be present"),
         ("base_frame", "", "base_frame = .*: "),
-        ("joints.1.name", "", r"joints 2.*name = .*: .*at least 1 character"),
+        ("joints.1.name", "", r"joints 2.*name = '': must not be empty"),
         ("joints.1.a", ..., r"joints 2 \(joint2\): a: must be present"),
         ("joints.1.a", "long", r"joints 2 \(joint2\): a = .*: .* number"),
         ("joints.1.a", True, r"joints 2 \(joint2\): a = .*: .* number"),
@@ -106,7 +106,8 @@ def test_contact_points_can_be_selected(omron_rows: dict[str, Any], tmp_path: Pa
         ("joints.3", ..., "file: 4 links for 3 joints"),
         ("joints", [], "joints = .*: "),
         ("joints", {"name": "joint1"}, "joints: "),
-        ("links.0.name", "", r"links 1.*name = .*: .*at least 1 character"),
+        ("links.0.name", "", r"links 1.*name = '': must not be empty"),
+        ("joints", [], r"joints = \[\]: must not be empty"),
         ("links.0.mass", -2.74, r"links 1 \(link1\): mass = .*: .*greater than or equal to 0"),
         ("links.0.mass", float("nan"), r"links 1 \(link1\): mass = .*: .* finite"),
         ("links.0.mass", ..., r"links 1 \(link1\): mass: must be present"),
