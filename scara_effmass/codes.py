@@ -68,6 +68,7 @@ class Reason(IntEnum):
     TOO_SLOW = 71  # values: duration [s]
     STUCK = 72
     NO_ROBOT = 80  # detail: why
+    ROBOT_CHANGES = 81
     DEACTIVATED = 82
     SHUTDOWN = 83
     NODE_ERROR = 84  # detail: error

@@ -120,7 +120,7 @@ class MonitorNode(RobotNode[NodeSettings]):
         """Decisions since the last report that changed a verdict."""
         self._change_counts: Counter[str] = Counter()
         self._reported_ns = 0
-        self._no_robot_reason = ""
+        self._no_robot_reason, self._is_reading = "", False
         self._payload: Payload | str = ""
         self._load_estimate: Any = None
         self._load_doubt = Doubt()
@@ -215,7 +215,7 @@ class MonitorNode(RobotNode[NodeSettings]):
             self._distrust_rivals()
             self._pass_payload()
             self._encoder.frame_id = robot.base_frame
-            self._no_robot_reason = ""
+            self._no_robot_reason, self._is_reading = "", False
         self.get_logger().info(f"monitoring {label(robot)} at {', '.join(dynamics.contact_points)}")
         self._log_assumptions(monitor)
         mass = deciding_mass(dynamics, self.settings.effective_mass_model)
@@ -370,6 +370,9 @@ class MonitorNode(RobotNode[NodeSettings]):
     def _on_watchdog(self) -> None:
         if self._silence_ns() == 0:
             return
+        if self._is_reading:
+            self._publish(self._unknown(Reason.ROBOT_CHANGES))
+            return
         # A callback that takes long holds the lock.
         if not self._monitor_lock.acquire(timeout=self._watchdog_period_s()):
             self._publish(self._unknown(Reason.STUCK))
@@ -462,10 +465,15 @@ class MonitorNode(RobotNode[NodeSettings]):
         }
         return status("input", f"{self._received} joint states", values, problem=problem)
 
+    def await_model(self) -> None:
+        """Give UNKNOWN at once: reading a large mesh can stop every thread of the node for seconds."""
+        self._is_reading = True
+        self._publish(self._unknown(Reason.ROBOT_CHANGES))
+
     def refuse_robot(self, reason: str) -> None:
         """Give UNKNOWN for `reason`."""
         with self._monitor_lock:
-            self._no_robot_reason = reason
+            self._no_robot_reason, self._is_reading = reason, False
             if self._monitor is not None:
                 self._give_unknown(self._monitor, reason)  # a cause for `latch`
             self._drop_monitor()

@@ -40,6 +40,9 @@ class RobotNode(LifecycleBase[Parameters]):
         """Work without a robot: there is no description yet, or one that cannot be used."""
         raise NotImplementedError
 
+    def await_model(self) -> None:
+        """Work with no robot from here on until `use_robot` or `refuse_robot`: another description has arrived."""
+
     def distrust_robot(self, reason: str) -> None:
         """Let the robot count for nothing for this `reason`, until it is empty."""
         raise NotImplementedError
@@ -71,6 +74,7 @@ class RobotNode(LifecycleBase[Parameters]):
         text, name = message.data, topics.ROBOT_DESCRIPTION
         if text != self._description:
             self._description = ""
+            self.await_model()
             try:
                 stated = parse_urdf(text, name, self.settings)
                 digest = sha256(text.encode(errors="surrogatepass")).hexdigest()[:_DIGITS]

@@ -100,6 +100,7 @@ TEXTS = {
     Reason.TOO_SLOW: "the assessment took {v[0]:.3f} s",
     Reason.STUCK: "the assessment of a joint state takes too long",
     Reason.NO_ROBOT: "{detail}",
+    Reason.ROBOT_CHANGES: "a new robot_description is being read",
     Reason.DEACTIVATED: "the monitor was deactivated",
     Reason.SHUTDOWN: "the node shuts down",
     Reason.NODE_ERROR: "the node ends: {detail}",

@@ -109,6 +109,7 @@ REMEDIES = {
     Reason.TOO_SLOW: LOAD,
     Reason.STUCK: LOAD,
     Reason.NO_ROBOT: f"start robot_state_publisher, or give the robot file by `--robot`; {ROBOT_FILE}",
+    Reason.ROBOT_CHANGES: "wait until its model is computed; if that takes too long, give its meshes fewer triangles",
     Reason.DEACTIVATED: "activate the monitor",
     Reason.SHUTDOWN: "start the monitor again",
     Reason.NODE_ERROR: "report the error with the log of the node, and start the monitor again",

@@ -25,7 +25,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from scara_effmass.codes import Assumption, ModelCode
+from scara_effmass.codes import Assumption, ModelCode, Reason
 from scara_effmass.model.load import load_robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import MonitorSettings
@@ -403,11 +403,51 @@ TWO_LINKS = """<robot name="two_link">
 </robot>"""
 
 
+SLOW_READER = """
+import sys, time
+from pathlib import Path
+from scara_effmass.nodes import monitor_node, robot_input
+parse = robot_input.parse_urdf
+def parse_later(text, *arguments):
+    while "LATE" in text and not Path("read").exists():
+        time.sleep(0.01)
+    return parse(text, *arguments)
+robot_input.parse_urdf = parse_later
+raise SystemExit(monitor_node.main())
+"""
 NAMES = ", ".join(assumption.name.lower() for assumption in Assumption)
 ACCEPT_ALL = ("-p", f"accept_assumptions:=[{NAMES}]")
 
 
 class TestRobotDescription:
+    def test_watchdog_says_that_a_description_is_being_read(
+        self, new_harness: Callable[..., NodeHarness], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.chdir(tmp_path)
+        harness = new_harness()
+        arguments = ("--ros-args", "-p", "await_robot_description:=true", "-p", "timeout:=0.5", *ACCEPT_ALL)
+        harness.start(*arguments, "-p", "release_time:=0.0", command=(sys.executable, "-c", SLOW_READER))
+        harness.subscribe()
+        publisher = harness.node.create_publisher(String, "robot_description", INFO)
+
+        def send() -> None:
+            harness.send(joint_state(names=("shoulder", "elbow"), position=(0.3, 1.2), velocity=(0.01, -0.01)))
+
+        def count(code: int) -> int:
+            return sum(answer.reason_code == code for answer in harness.contact_states)
+
+        publisher.publish(String(data=TWO_LINKS))
+        harness.spin_until(lambda: count(Reason.NONE), repeat=send)
+        harness.contact_states.clear()
+        publisher.publish(String(data=TWO_LINKS.replace("two_link", "LATE")))
+        harness.spin_until(lambda: count(Reason.ROBOT_CHANGES), repeat=send)
+        harness.contact_states.clear()
+        harness.spin_until(lambda: len(harness.contact_states) > 3, repeat=send)
+        assert {answer.reason for answer in harness.contact_states} == {"a new robot_description is being read"}
+        (tmp_path / "read").touch()
+        harness.contact_states.clear()
+        harness.spin_until(lambda: count(Reason.NONE), repeat=send)
+
     def test_robot_description_is_awaited_and_may_be_replaced(self, new_harness: Callable[..., NodeHarness]) -> None:
         harness = new_harness(
             "--ros-args",

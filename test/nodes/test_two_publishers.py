@@ -125,6 +125,9 @@ def test_identical_description_changes_nothing_and_another_one_shows(start_arm: 
     assert sum("monitoring two_link" in line for line in arm.logged) == 1
 
     publisher.publish(String(data=LIGHT))
+    reading = arm.until(lambda answer: answer.reason_code == Reason.ROBOT_CHANGES)  # long before the watchdog
+    assert (reading.verdict, reading.contact_point) == (ContactState.UNKNOWN, "hand")
+    assert (reading.allowable_speed, reading.speed_scaling) == (0.0, 0.0)
     changed = arm.until(has("the robot changed"))
     before, after = (answer.scope.rpartition("; robot ")[2] for answer in (held, changed))
     assert before != after
