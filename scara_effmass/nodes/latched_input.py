@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Latched input that a verdict rests on: it counts only while one publisher can reach the node."""
+"""Latched input that a verdict rests on: it counts only while it has one publisher."""
 
 from collections.abc import Callable
 from typing import Any
@@ -29,12 +29,13 @@ class LatchedInput:
         distrust: Callable[[str], None],
         *,
         name: str = "",
-        lost: Callable[[], None] = lambda: None,
+        lost: Callable[[str], None] = lambda _: None,
         raw: bool = True,
     ) -> None:
         """Pass trusted messages to `take`, and to `distrust` why earlier ones count no more.
 
-        `name` stands for the topic in these reasons; `lost` is called when the last publisher goes.
+        `name` stands for the topic in these reasons; `lost` gets why there is no publisher: the last one has gone, or
+        none can be connected.
         """
         self._node, self._take, self._distrust, self._lost = node, take, distrust, lost
         self._message_type, self._topic, self._name, self._qos, self._raw = message_type, topic, name or topic, qos, raw
@@ -42,6 +43,8 @@ class LatchedInput:
         """Number of publishers by which the input was distrusted, 0 while it is trusted."""
         self._is_used_up = False
         """Whether the present subscription has lost its last publisher: the next one counts as the first."""
+        self._is_misfit = False
+        """Whether there are publishers, none of which can be connected."""
         self._subscribe()
         node.create_steady_timer(_CHECK_S, self._renew)
 
@@ -61,24 +64,37 @@ class LatchedInput:
         self._check(least=min(info.total_count, 2))
         if not info.current_count:
             self._is_used_up = True
-            self._lost()
+            self._lost(f"no publishers of {self._name}: must be one")
 
     def _check(self, least: int = 1) -> int:
-        """Distrust several publishers; return how many can reach the node now.
+        """Distrust several publishers; return how many there are now.
 
         `least` is the number of publishers that this subscription has had, at least.
         """
         # The graph knows a publisher before its first message arrives.
-        own, name = self._subscription.qos_profile, self._subscription.topic_name
-        ends = self._node.get_publishers_info_by_topic(name)
-        now = sum(qos_check_compatible(end.qos_profile, own)[0] is not QoSCompatibility.ERROR for end in ends)
+        now = self._node.count_publishers(self._subscription.topic_name)
         count = max(now, least)
         if count > 1 and count > self._publishers:
             self._publishers = count
             self._distrust(f"{count} publishers of {self._name}: must be one")
         return now
 
+    def _look_for_misfit(self) -> None:
+        """State that no publisher can be connected, or that there is none any more."""
+        own = self._subscription.qos_profile
+        ends = self._node.get_publishers_info_by_topic(self._subscription.topic_name)
+        # Not by identity: each result is a new object.
+        is_misfit = bool(ends) and all(
+            qos_check_compatible(end.qos_profile, own)[0] == QoSCompatibility.ERROR for end in ends
+        )
+        if is_misfit and not self._is_misfit:
+            self._lost(f"no publisher of {self._name} fits: must be reliable and latched (durability transient_local)")
+        elif self._is_misfit and not ends:
+            self._lost(f"no publishers of {self._name}: must be one")
+        self._is_misfit = is_misfit
+
     def _renew(self) -> None:
+        self._look_for_misfit()
         if self._check() > 1 or not (self._publishers or self._is_used_up):
             return
         if self._publishers:

@@ -150,8 +150,8 @@ class MonitorNode(RobotNode[NodeSettings]):
             )
         if topic := self.settings.payload_topic:
             name, qos = f"the payload on {topic}", topics.DESCRIPTION_QOS
-            lost = partial(self._state_payload, f"no publishers of {name}: must be one")
-            LatchedInput(self, Inertia, topic, qos, self._on_payload, self._state_payload, name=name, lost=lost)
+            take, state = self._on_payload, self._state_payload
+            LatchedInput(self, Inertia, topic, qos, take, state, name=name, lost=state)
         self.create_owned_trigger("~/reset", self._reset)
         self.create_steady_timer(_CHECK_S, self._check_publishers)
         every_step = JumpThreshold(min_forward=Duration(nanoseconds=1), min_backward=Duration(nanoseconds=-1))

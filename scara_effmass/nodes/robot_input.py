@@ -61,14 +61,27 @@ class RobotNode(LifecycleBase[Parameters]):
                 f"{self.get_name()}: robot = {settings.robot!r}: must be empty with await_robot_description"
             )
         self.refuse_robot(NO_DESCRIPTION)
-        self._description = ""
-        """That of the robot in use, empty without one."""
-        qos = topics.DESCRIPTION_QOS
-        LatchedInput(self, String, topics.ROBOT_DESCRIPTION, qos, self._on_description, self._on_publishers, raw=False)
+        self._description: str | None = None
+        """That of the robot in use, empty without one, None before the first."""
+        LatchedInput(
+            self,
+            String,
+            topics.ROBOT_DESCRIPTION,
+            topics.DESCRIPTION_QOS,
+            self._on_description,
+            self._on_publishers,
+            lost=self._on_absence,
+            raw=False,
+        )
 
     def _on_publishers(self, reason: str) -> None:
         self.get_logger().error(reason)
         self.distrust_robot(reason)
+
+    def _on_absence(self, reason: str) -> None:
+        """Say why there is no description yet: later on, it outlives its sender."""
+        if self._description is None:
+            self.refuse_robot(reason)
 
     def _on_description(self, message: String) -> None:
         text, name = message.data, topics.ROBOT_DESCRIPTION

@@ -71,6 +71,9 @@ def test_payload_comes_from_exactly_one_publisher(new_harness: Callable[..., Nod
     harness.node.destroy_publisher(first)
     until_unknown("no publishers of the payload on payload: must be one")
     harness.node.create_publisher(Inertia, "gripper/payload", 1)  # not latched
+    until_unknown(
+        "no publisher of the payload on payload fits: must be reliable and latched (durability transient_local)"
+    )
     assert "a publisher of payload cannot be connected: its DURABILITY" in harness.diagnostic(
         "input", "incompatible QoS", bool
     )

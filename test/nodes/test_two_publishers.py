@@ -137,6 +137,17 @@ def test_identical_description_changes_nothing_and_another_one_shows(start_arm: 
     assert any(f"the robot changed from {before} to {after}" in line for line in arm.logged)
 
 
+def test_description_that_is_not_latched_says_so(start_arm: Callable[..., Arm]) -> None:
+    arm = start_arm("-p", "release_time:=0.0")
+    volatile = arm.harness.node.create_publisher(String, "robot_description", 1)
+    misfit = "no publisher of robot_description fits: must be reliable and latched (durability transient_local)"
+    assert arm.until(has(misfit)).verdict == ContactState.UNKNOWN
+    arm.harness.node.destroy_publisher(volatile)
+    arm.until(has("no publishers of robot_description: must be one"))
+    arm.describe(TWO_LINKS)
+    arm.until(is_ok)
+
+
 def test_changed_robot_is_latched(start_arm: Callable[..., Arm]) -> None:
     arm = start_arm("-p", "release_time:=0.0", "-p", "latch:=true")
     publisher = arm.describe(TWO_LINKS)
