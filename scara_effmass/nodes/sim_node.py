@@ -29,6 +29,8 @@ _AHEAD_NS = 20 * _MS
 _BEHIND_NS = {topics.CONTACT_STATES: 50 * _MS, topics.FORCE: 400 * _MS}
 """Largest lag of the latest stamp behind the clock; a block of 0.1 s has the stamp of its first sample."""
 _HOLD_PERIOD_NS = 50 * _MS
+_MAX_STEP_NS = 100 * _MS
+"""Longest time to simulate at once: on a busy machine each step would take longer than the last; signals wait."""
 _NEVER_NS = 2**62
 _MAX_PAST_NS = 60 * _NS
 """Without a clock of its own, the node catches up with the ROS time."""
@@ -90,7 +92,7 @@ class SimNode(LifecycleBase[NodeSettings]):
         if not self.active:
             return
         if self._sim_clock is None:
-            now_ns = self.now_ns()
+            now_ns = min(self.now_ns(), self._time_ns + _MAX_STEP_NS)
         elif self._is_awaited and (self._missing() or not self._joint_states.get_subscription_count()):
             self._sim_clock.hold()
             return
@@ -151,7 +153,8 @@ class SimClock:
         """Advance by the elapsed real time, as far as the other nodes follow; return the time."""
         steady_ns = time.monotonic_ns()
         limits_ns = [done_ns + _BEHIND_NS[topic] for topic, done_ns in self._done_ns.items()]
-        self._now_ns = max(self._now_ns, min(self._now_ns + steady_ns - self._steady_ns, *limits_ns, _NEVER_NS))
+        step_ns = min(steady_ns - self._steady_ns, _MAX_STEP_NS)
+        self._now_ns = max(self._now_ns, min(self._now_ns + step_ns, *limits_ns, _NEVER_NS))
         self._steady_ns = steady_ns
         self._publish()
         return self._now_ns
