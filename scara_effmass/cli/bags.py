@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict
@@ -17,7 +18,7 @@ from rich.status import Status
 
 from scara_effmass.bags.recorder import RecorderOptions, RecordingReport, TopicReport
 from scara_effmass.bags.repair import RepairReport, repair
-from scara_effmass.cli.console import print_result, progress_bar
+from scara_effmass.cli.console import live_file, print_result, progress_bar
 from scara_effmass.errors import SettingsError
 from scara_effmass.importers.force import ImportedTopic, write_force_bag
 from scara_effmass.importers.force_file import refuse_settings
@@ -52,7 +53,7 @@ def _record(args: argparse.Namespace) -> int:
         max_file_bytes=math.ceil(min(args.max_size * MB, MAX_LIMIT)),
         max_file_ns=math.ceil(min(args.max_duration * NS, MAX_LIMIT)),
     )
-    console = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
+    console = Console(file=live_file(sys.stderr), highlight=False, markup=False, soft_wrap=True)
     status = Status("waiting for messages", console=console)
 
     def show(current: RecordingReport, seconds: float) -> None:

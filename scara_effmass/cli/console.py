@@ -3,14 +3,17 @@
 
 from __future__ import annotations
 
+import io
 import json
+import os
+import select
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from itertools import chain
 from textwrap import wrap
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TextIO, TypeVar
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console, Group
@@ -30,6 +33,8 @@ PIPE_WIDTH = 160
 """Width of the output without a terminal [columns]."""
 PIPE_PERIOD_S, TERMINAL_PERIOD_S = 2.0, 0.125
 """Period of the status of a live run."""
+PATIENCE_S = 0.2
+"""Time for which live output waits for a terminal."""
 WIDE = 100
 """Columns from which a table has room for sentences."""
 _MAX_WORD = 16
@@ -42,9 +47,56 @@ VERDICT_STYLES = {
 }
 
 
-def printer() -> Console:
-    """Return the console for results, on stdout."""
-    return Console(highlight=False, markup=False, soft_wrap=True, width=None if sys.stdout.isatty() else PIPE_WIDTH)
+def printer(*, live: bool = False) -> Console:
+    """Return the console for results, on stdout; `live`: for those of a command that still runs."""
+    width = None if sys.stdout.isatty() else PIPE_WIDTH
+    file = live_file(sys.stdout) if live else sys.stdout
+    return Console(file=file, highlight=False, markup=False, soft_wrap=True, width=width)
+
+
+class _Terminal(io.RawIOBase):
+    """Terminal that loses output in place of waiting longer than PATIENCE_S for it."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+
+    def writable(self) -> bool:
+        return True
+
+    def isatty(self) -> bool:
+        return True
+
+    def fileno(self) -> int:
+        return self._descriptor
+
+    def write(self, data: Any) -> int:  # noqa: ANN401 - any buffer
+        rest, end_s = memoryview(data), time.monotonic() + PATIENCE_S
+        while rest and (left_s := end_s - time.monotonic()) > 0.0:
+            if select.select([], [self._descriptor], [], left_s)[1]:
+                with suppress(BlockingIOError):
+                    rest = rest[os.write(self._descriptor, rest) :]
+        return len(data)
+
+    def close(self) -> None:
+        if not self.closed:
+            os.close(self._descriptor)
+        super().close()
+
+
+def live_file(stream: TextIO) -> TextIO:
+    """Return `stream`, or for a terminal one that loses output in place of holding up a live command.
+
+    After Ctrl-S or on a lost connection a terminal stands still; a write that waits for it also keeps signals away.
+    """
+    if not stream.isatty():
+        return stream
+    try:  # opened again, because the mode of the stream is also that of the shell
+        descriptor = os.open(os.ttyname(stream.fileno()), os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY)
+    except OSError:  # it is another user's, as after su
+        return stream
+    return io.TextIOWrapper(
+        io.BufferedWriter(_Terminal(descriptor)), stream.encoding, stream.errors, write_through=True
+    )
 
 
 def print_lines(lines: Iterable[tuple[str, object]]) -> None:
@@ -108,7 +160,9 @@ def print_findings(headings: Sequence[str], rows: Sequence[tuple[str, str, str]]
 
 def progress_bar(*columns: ProgressColumn) -> Progress:
     """Return a progress bar on stderr, to be used in a `with`; it is invisible unless stderr is a terminal."""
-    return Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty(), transient=True)
+    return Progress(
+        *columns, console=Console(file=live_file(sys.stderr)), disable=not sys.stderr.isatty(), transient=True
+    )
 
 
 def tracked(progress: Progress, bag: Bag, topic: str, items: Iterable[Item]) -> Iterator[Item]:

@@ -129,7 +129,7 @@ def _live_sim(
     commands += [["daq", "--source", "sim", *processes.SIM_TIME, *cell], ["validator", *processes.SIM_TIME]]
     sim_command = ["sim", "--start", str(start_s), "--clock", "--ros-args", "-p", f"listeners:={json.dumps(LISTENERS)}"]
     stamps_ns: set[int] = set()
-    console = printer()
+    console = printer(live=True)
     assessed_s = -math.inf
 
     def on_decision(decision: Decision) -> None:
@@ -308,7 +308,7 @@ def _live_bag(args: argparse.Namespace, topics: list[str], force_topic: str, set
         processes.spin_until(lambda: client.connected, client, children, processes.START_TIMEOUT_S, "monitor")
         force = children.pop() if force_topic else None
         replay = stack.enter_context(processes.ChildProcess(replay_command))
-        show_status = stack.enter_context(live_status(printer(), visible=not args.json))
+        show_status = stack.enter_context(live_status(printer(live=True), visible=not args.json))
         processes.spin_until(lambda: replay.ended, client, children, math.inf)
         replayed = json.loads(replay.output())
         answered, sent = -1, replayed["sent"][JOINT_STATES]

@@ -21,7 +21,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from scara_effmass.cli.console import VERDICT_STYLES, print_lines, printer
+from scara_effmass.cli.console import VERDICT_STYLES, live_file, print_lines, printer
 from scara_effmass.cli.options import load_dynamics, monitor_settings
 from scara_effmass.errors import SettingsError
 from scara_effmass.impacts.agreement import comparison_text
@@ -87,7 +87,7 @@ def _foxglove(args: argparse.Namespace) -> int:
     """Serve live topics until a signal ends it."""
     from scara_effmass.nodes.foxglove_server import serve  # noqa: PLC0415 - rclpy, and an optional library
 
-    show = partial(printer().print, soft_wrap=True)
+    show = partial(printer(live=True).print, soft_wrap=True)
     serve(
         args.topics,
         args.host,
@@ -101,7 +101,7 @@ def _foxglove(args: argparse.Namespace) -> int:
 
 def _watch(args: argparse.Namespace) -> int:
     """Show the cell until a signal ends it. Raises SettingsError without a terminal, or for invalid ROS arguments."""
-    console = Console(highlight=False, markup=False)
+    console = Console(file=live_file(sys.stdout), highlight=False, markup=False)
     problem = "" if sys.stdout.isatty() else "stdout must be a terminal"
     if not problem and console.is_dumb_terminal:
         problem = f"TERM = {os.environ.get('TERM')}: must move the cursor"

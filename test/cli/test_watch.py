@@ -6,6 +6,7 @@ import os
 import pty
 import re
 import select
+import signal
 import struct
 import sys
 import termios
@@ -179,7 +180,7 @@ class Screen:
         self.process = Forked(
             command, stdin=terminal, stdout=terminal, stderr=terminal, env=environment, start_new_session=True
         )
-        os.close(terminal)
+        self._terminal = terminal
         self.output = b""
 
     def read(self) -> str:
@@ -191,10 +192,15 @@ class Screen:
         text = pictures[-2 if len(pictures) > 1 else -1].decode(errors="replace")
         return re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", text)
 
+    def is_full(self) -> bool:
+        """Return whether a write would wait until something is read."""
+        return not select.select([], [self._terminal], [], 0.0)[1]
+
     def close(self) -> None:
         self.process.kill()
         self.process.wait()
         os.close(self._reader)
+        os.close(self._terminal)
 
 
 @pytest.fixture
@@ -229,3 +235,11 @@ def test_watch_turns_unknown_when_the_monitor_is_killed_and_recovers(harness: No
             assert "OK" not in terminal.read().replace("UNKNOWN", "")
         os.kill(terminal.process.pid, 2)
         assert terminal.process.wait(20) == 130
+
+
+@pytest.mark.live
+def test_watch_ends_by_a_signal_while_its_terminal_stands_still(harness: NodeHarness) -> None:
+    with closing(Screen(harness.domain)) as terminal:
+        harness.spin_until(terminal.is_full)  # as after Ctrl-S: nobody reads
+        os.kill(terminal.process.pid, signal.SIGTERM)
+        assert terminal.process.wait(20) == 128 + signal.SIGTERM
