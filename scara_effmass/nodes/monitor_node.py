@@ -38,7 +38,7 @@ from scara_effmass.nodes.monitor_health import (
     model_status,
     worst_contacts,
 )
-from scara_effmass.nodes.overload import newest_waiting
+from scara_effmass.nodes.overload import is_late, newest_waiting, received_ns
 from scara_effmass.nodes.robot_input import NO_DESCRIPTION, RobotNode, RobotParameters, label
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Assessments, Cause, Monitor, unknown_assessments
@@ -55,8 +55,6 @@ from scara_effmass.wire.payload import decode_payload, payload_estimate_message
 
 _WATCHDOG_CHECKS_PER_TIMEOUT = 4
 _MIN_WATCHDOG_PERIOD_S = 1e-3
-_MAX_WAIT = 0.5
-"""Share of the timeout that a joint state may wait; later, only the newest ones are answered."""
 _ACK_TIMEOUT = Duration(seconds=0.5)
 _MIN_REPORT_INTERVAL_NS = 100_000_000
 _CHECK_S = 0.1
@@ -244,10 +242,8 @@ class MonitorNode(RobotNode[NodeSettings]):
         An answer to a state of long ago helps nobody, and delays the next. In simulated time, every state is answered.
         """
         self._received += 1
-        timeout_ns = self.settings.timeout * 1e9
-        waited_ns, age_ns = time.time_ns() - _received_ns(info), self.now_ns() - header_stamp_ns(data)
-        is_late = waited_ns > _MAX_WAIT * timeout_ns or age_ns > timeout_ns
-        if not is_late or self.get_parameter("use_sim_time").value:
+        late = is_late(info, self.now_ns() - header_stamp_ns(data), self.settings.timeout)
+        if not late or self.get_parameter("use_sim_time").value:
             return ((data, info),)
         handle = self._joint_states.handle
         newest, skipped = newest_waiting(
@@ -288,7 +284,7 @@ class MonitorNode(RobotNode[NodeSettings]):
                     assessments = monitor.settle(late)
                 self._last_answer_ns = start_ns
                 self._publish(assessments)
-                latency_ns = time.time_ns() - _received_ns(info)
+                latency_ns = time.time_ns() - received_ns(info)
                 self._latencies.add(latency_ns, int(assessments.states["stamp_ns"][0]))
                 self._publish_load(monitor)
 
@@ -545,11 +541,6 @@ class MonitorNode(RobotNode[NodeSettings]):
                 if any(name.startswith("payload") for name in changed):
                     self.get_logger().info(f"payload: {self._monitor.payload_text}")
         self._wake_watchdog.set()  # else the new period starts after the old one
-
-
-def _received_ns(info: dict[str, Any]) -> int:
-    """Return when the middleware received a message [ns]; now, where it does not say so, as some do by a 0."""
-    return int(info["received_timestamp"]) or time.time_ns()
 
 
 main = partial(run, "monitor", MonitorNode)

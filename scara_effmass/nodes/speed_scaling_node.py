@@ -9,6 +9,7 @@ import math
 import threading
 import time
 from functools import partial
+from typing import Any
 
 from control_msgs.msg import SpeedScalingFactor
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -20,11 +21,13 @@ from scara_effmass.cell.speed_scaling import SpeedScaler
 from scara_effmass.codes import Reason
 from scara_effmass.errors import DecodeError
 from scara_effmass.nodes.diagnostics import Diagnostics, status
-from scara_effmass.nodes.lifecycle import LifecycleBase, run
+from scara_effmass.nodes.lifecycle import LifecycleBase, run, with_info
+from scara_effmass.nodes.overload import is_late, newest_waiting
 from scara_effmass.nodes.parameters import NodeParameters
 from scara_effmass.safety.reasons import plain_text
 from scara_effmass.settings.loading import fixed
 from scara_effmass.wire import topics
+from scara_effmass.wire.cdr import header_stamp_ns
 from scara_effmass.wire.contact_states import decode_contact_states
 
 _ACK_TIMEOUT = Duration(seconds=0.5)
@@ -65,7 +68,7 @@ class SpeedScalingNode(LifecycleBase[NodeSettings]):
         self._factor, self._reason = 0.0, ""
         self._stops, self._unreported = 0, ""
         """Number of stops, and the reason of one since the last report."""
-        self._last_number = self._refused_until_ns = self._lost = 0
+        self._last_number = self._refused_until_ns = self._lost = self._skipped = 0
         qos = topics.Qos(1, latched=True, deadline_s=2.0 / settings.rate)
         self._publisher = self.create_owned_publisher(SpeedScalingFactor, topics.SPEED_SCALING_INPUT, qos)
         if settings.standby:
@@ -78,10 +81,10 @@ class SpeedScalingNode(LifecycleBase[NodeSettings]):
         self.create_steady_timer(1.0 / settings.rate, self._publish)
 
     def _subscribe_to_contact_states(self) -> None:
-        self.create_owned_subscription(
+        self._contact_states = self.create_owned_subscription(
             ContactStates,
             topics.CONTACT_STATES,
-            self._on_contact_states,
+            with_info(self._on_contact_states),
             topics.verdict_qos(self.settings.timeout),
             raw=True,
             deadline=lambda _: self._stop("deadline of contact_states missed"),
@@ -112,7 +115,17 @@ class SpeedScalingNode(LifecycleBase[NodeSettings]):
             self._publishing = False
         self._publisher.wait_for_all_acked(_ACK_TIMEOUT)
 
-    def _on_contact_states(self, data: bytes) -> None:
+    def _on_contact_states(self, data: bytes, info: dict[str, Any]) -> None:
+        """Take the contact states, or where they come late the newest that wait behind them.
+
+        Else no timer would get a turn on a busy machine.
+        """
+        skipped = 0
+        if is_late(info, self.now_ns() - header_stamp_ns(data), self.settings.timeout):
+            handle, depth = self._contact_states.handle, topics.STREAM_QOS.depth
+            take = lambda: handle.take_message(ContactStates, True)  # noqa: E731, FBT003
+            ((data, _),), skipped = newest_waiting((data, info), take, lambda _: None, depth)
+            self._skipped += skipped
         try:
             decision = decode_contact_states(data)
         except DecodeError as error:
@@ -123,7 +136,7 @@ class SpeedScalingNode(LifecycleBase[NodeSettings]):
             self._refused_until_ns = now_ns + round(2e9 * self.settings.timeout)
             self._stop("a second monitor publishes contact_states, or a new one")
         elif self._last_number and now_ns >= self._refused_until_ns:
-            self._lost += number - self._last_number - 1
+            self._lost += max(0, number - self._last_number - 1 - skipped)
         self._last_number = number
         with self._lock:
             if not self._publishing or now_ns < self._refused_until_ns:
@@ -187,6 +200,7 @@ class SpeedScalingNode(LifecycleBase[NodeSettings]):
             "controllers": controllers,
             "stops": self._stops,
             "lost contact states": self._lost,
+            "skipped contact states": self._skipped,
         }
         return [status("speed scaling", "standby" if self.settings.standby else "scaling", values, problem=problem)]
 

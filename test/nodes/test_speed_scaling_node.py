@@ -16,6 +16,7 @@ from control_msgs.msg import SpeedScalingFactor
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from rcl_interfaces.msg import Log
+from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from scara_effmass_msgs.msg import ContactState, ContactStates
 
@@ -90,6 +91,35 @@ def test_two_monitors_hold_the_factor_at_0_until_one_is_left(new_harness: Callab
     node.spin_until(lambda: len(factors) > received + 100, repeat=lambda: send(first, second))
     assert set(factors[received:]) == {0.0}
     node.spin_until(lambda: factors[-1] == 1.0, repeat=lambda: send(first))
+
+
+def test_node_that_falls_behind_takes_the_newest_contact_states(new_harness: Callable[..., NodeHarness]) -> None:
+    node = new_harness(name="speed_scaling")
+    process = node.start("--ros-args", "-p", "timeout:=0.5", "-p", "rise_rate:=20.0", command=(str(NODE),))
+    factors: list[float] = []
+    node.node.create_subscription(
+        SpeedScalingFactor, SPEED_SCALING_INPUT, lambda message: factors.append(message.factor), CONTROLLER_QOS
+    )
+    node.node.create_subscription(DiagnosticArray, "/diagnostics", node.diagnostics.append, DEEP_QOS)
+    publisher = node.node.create_publisher(ContactStates, "contact_states", qos_profile(verdict_qos(0.5)))
+    number = 0
+
+    def send(age_s: float = 0.0) -> None:
+        nonlocal number
+        number += 1
+        contact = ContactState(contact_point="tool", verdict=ContactState.OK, allowable_speed=1.0)
+        message = ContactStates(contacts=[contact], sequence_number=number, **ALLOWED)
+        message.header.stamp = (node.node.get_clock().now() - Duration(seconds=age_s)).to_msg()
+        publisher.publish(message)
+
+    node.spin_until(lambda: factors and factors[-1] == 1.0, repeat=send)
+    os.kill(process.pid, signal.SIGSTOP)
+    for _ in range(50):
+        send(age_s=1.0)
+    os.kill(process.pid, signal.SIGCONT)
+    node.diagnostic("speed scaling", "skipped contact states", lambda count: int(count) > 0)
+    node.spin_until(lambda: factors[-1] == 1.0, repeat=send)
+    assert node.diagnostic("speed scaling", "lost contact states", bool).endswith("| 0")
 
 
 LATENCY_S = 0.03
