@@ -97,9 +97,11 @@ def test_node_that_falls_behind_takes_the_newest_contact_states(new_harness: Cal
     node = new_harness(name="speed_scaling")
     process = node.start("--ros-args", "-p", "timeout:=0.5", "-p", "rise_rate:=20.0", command=(str(NODE),))
     factors: list[float] = []
-    node.node.create_subscription(
-        SpeedScalingFactor, SPEED_SCALING_INPUT, lambda message: factors.append(message.factor), CONTROLLER_QOS
-    )
+
+    def on_factor(message: SpeedScalingFactor) -> None:
+        factors.append(message.factor)
+
+    node.node.create_subscription(SpeedScalingFactor, SPEED_SCALING_INPUT, on_factor, CONTROLLER_QOS)
     node.node.create_subscription(DiagnosticArray, "/diagnostics", node.diagnostics.append, DEEP_QOS)
     publisher = node.node.create_publisher(ContactStates, "contact_states", qos_profile(verdict_qos(0.5)))
     number = 0
