@@ -7,6 +7,7 @@ import traceback
 from collections.abc import Sequence
 from functools import partial
 from importlib import import_module
+from itertools import chain
 
 import numpy as np
 import rclpy
@@ -35,7 +36,7 @@ from scara_effmass.wire import topics
 from scara_effmass.wire.force import force_block_message, impact_message
 
 _POLL_S = 0.01
-_ACK_TIMEOUT = Duration(seconds=5)
+_ACK_TIMEOUT_NS = 5_000_000_000
 """Fast DDS requests acknowledgements every 3 s."""
 _NS = 1_000_000_000
 _IMPACT_INTERVAL_S = 0.05
@@ -143,9 +144,9 @@ class DaqNode(LifecycleBase[NodeSettings]):
         for output in self._outputs:
             output.publish_waiting()
         if self._is_over and not any(output.waiting for output in self._outputs):
-            for output in self._outputs:
-                for publisher in (output.force, output.impact):
-                    publisher.wait_for_all_acked(_ACK_TIMEOUT)
+            end_ns = time.monotonic_ns() + _ACK_TIMEOUT_NS
+            for publisher in chain.from_iterable((output.force, output.impact) for output in self._outputs):
+                publisher.wait_for_all_acked(Duration(nanoseconds=max(0, end_ns - time.monotonic_ns())))
             rclpy.try_shutdown()
 
     def _wake(self) -> None:
