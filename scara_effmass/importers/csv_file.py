@@ -21,6 +21,7 @@ from scara_effmass.importers.force_file import (
     refuse_settings,
     select_force,
     select_unit,
+    short_unit,
     uniform_samples,
 )
 from scara_effmass.importers.times import MAX_DIGITS, NS_PER_UNIT, Decimals, Midnights, Numbers, iso_ns, time_ns
@@ -181,7 +182,7 @@ def _are_units(cells: Sequence[str], delimiter: str) -> bool:
 def _spelled(unit: str) -> str:
     """Return a unit without brackets, with the micro sign for the Greek mu, and short if it is spelled out."""
     unit = unit.strip("[]() ").replace("\u03bc", "\u00b5")
-    return SPELLINGS.get(unit.lower(), unit)
+    return short_unit(unit)
 
 
 def _with_unit(name: str, cell: str, origin: str) -> str:

@@ -74,6 +74,11 @@ class ForceFile:
     losses: Callable[[], tuple[str, ...]] = tuple
 
 
+def short_unit(unit: str) -> str:
+    """Return a unit, short if it is spelled out."""
+    return SPELLINGS.get(unit.lower(), unit)
+
+
 def is_force_name(name: str) -> bool:
     """Return whether a column or channel has a name of force."""
     return FORCE_NAME.search(name.lower().replace("_", " ")) is not None

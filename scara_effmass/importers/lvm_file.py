@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from scara_effmass.bags.bag import one_line
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.importers.force_file import (
-    SPELLINGS,
     ForceFile,
     check_seconds,
     refuse_settings,
     select_force,
     select_unit,
+    short_unit,
     uniform_samples,
 )
 from scara_effmass.importers.times import axis_ns, time_ns
@@ -108,7 +108,6 @@ def _channels(header: dict[Any, Any], segment: dict[str, Any]) -> Iterator[_Chan
                 return entries[place] if isinstance(entries, list) and 0 <= place < len(entries) else default
 
             date, time = (entry(key) or header.get(key, "") for key in ("Date", "Time"))
-            unit = str(entry("Y_Unit_Label"))
             yield _Channel(
                 name,
                 number,
@@ -117,7 +116,7 @@ def _channels(header: dict[Any, Any], segment: dict[str, Any]) -> Iterator[_Chan
                 _start_ns(date, time),
                 float(entry("X0", default=0.0)),
                 np.nan if x_column is not None else float(entry("Delta_X", default=np.nan)),
-                SPELLINGS.get(unit.lower(), unit),
+                short_unit(str(entry("Y_Unit_Label"))),
                 str(entry("X_Dimension")),
                 str(entry("X_Unit_Label")),
             )

@@ -17,13 +17,13 @@ from scara_effmass.bags.bag import one_line
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.importers.csv_file import is_time_name
 from scara_effmass.importers.force_file import (
-    SPELLINGS,
     ForceFile,
     IntArray,
     check_seconds,
     refuse_settings,
     select_force,
     select_unit,
+    short_unit,
     split,
     uniform_samples,
 )
@@ -228,8 +228,7 @@ def _force_name(path: Path, channels: dict[str, Any], topic: str) -> str:
 
 
 def _unit(channel: Any) -> str:  # noqa: ANN401 - nptdms has no types
-    stated = str(channel.properties.get("unit_string", ""))
-    return SPELLINGS.get(stated.lower(), stated)
+    return short_unit(str(channel.properties.get("unit_string", "")))
 
 
 def _seconds(properties: Mapping[str, Any], name: str, default: float, origin: str) -> float:

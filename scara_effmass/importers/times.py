@@ -6,7 +6,7 @@ import re
 from datetime import datetime, timedelta, timezone
 
 from scara_effmass.errors import BagError
-from scara_effmass.importers.force_file import SPELLINGS
+from scara_effmass.importers.force_file import short_unit
 from scara_effmass.wire.cdr import MAX_SEC, NS
 
 NS_PER_UNIT = {"s": NS, "sec": NS, "ms": 1_000_000, "us": 1000, "µs": 1000, "ns": 1}
@@ -46,7 +46,7 @@ def iso_ns(text: str) -> int | None:
 
 def axis_ns(unit: str, origin: str) -> int:
     """Return the nanoseconds in the `unit` of a time axis, empty for seconds. Raises BagError for another unit."""
-    unit = SPELLINGS.get(unit.lower(), unit or "s")
+    unit = short_unit(unit) or "s"
     if unit not in NS_PER_UNIT:
         raise BagError(f"{origin} = {unit}: must be one of {', '.join(NS_PER_UNIT)}")
     return NS_PER_UNIT[unit]

@@ -7,7 +7,6 @@ import traceback
 from collections.abc import Sequence
 from functools import partial
 from importlib import import_module
-from itertools import chain
 
 import numpy as np
 import rclpy
@@ -145,8 +144,9 @@ class DaqNode(LifecycleBase[NodeSettings]):
             output.publish_waiting()
         if self._is_over and not any(output.waiting for output in self._outputs):
             end_ns = time.monotonic_ns() + _ACK_TIMEOUT_NS
-            for publisher in chain.from_iterable((output.force, output.impact) for output in self._outputs):
-                publisher.wait_for_all_acked(Duration(nanoseconds=max(0, end_ns - time.monotonic_ns())))
+            for output in self._outputs:
+                for publisher in (output.force, output.impact):
+                    publisher.wait_for_all_acked(Duration(nanoseconds=max(0, end_ns - time.monotonic_ns())))
             rclpy.try_shutdown()
 
     def _wake(self) -> None:

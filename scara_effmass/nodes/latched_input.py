@@ -41,6 +41,7 @@ class LatchedInput:
         self._message_type, self._topic, self._name, self._qos, self._raw = message_type, topic, name or topic, qos, raw
         self._publishers = 0
         """Number of publishers by which the input was distrusted, 0 while it is trusted."""
+        self._absence = f"no publishers of {self._name}: must be one"
         self._is_used_up = False
         """Whether the present subscription has lost its last publisher: the next one counts as the first."""
         self._is_misfit = False
@@ -64,7 +65,7 @@ class LatchedInput:
         self._check(least=min(info.total_count, 2))
         if not info.current_count:
             self._is_used_up = True
-            self._lost(f"no publishers of {self._name}: must be one")
+            self._lost(self._absence)
 
     def _check(self, least: int = 1) -> int:
         """Distrust several publishers; return how many there are now.
@@ -90,7 +91,7 @@ class LatchedInput:
         if is_misfit and not self._is_misfit:
             self._lost(f"no publisher of {self._name} fits: must be reliable and latched (durability transient_local)")
         elif self._is_misfit and not ends:
-            self._lost(f"no publishers of {self._name}: must be one")
+            self._lost(self._absence)
         self._is_misfit = is_misfit
 
     def _renew(self) -> None:

@@ -245,10 +245,10 @@ class MonitorNode(RobotNode[NodeSettings]):
         late = is_late(info, self.now_ns() - header_stamp_ns(data), self.settings.timeout)
         if not late or self.get_parameter("use_sim_time").value:
             return ((data, info),)
-        handle = self._joint_states.handle
+        waiting = self._joint_states
         newest, skipped = newest_waiting(
             (data, info),
-            lambda: handle.take_message(JointState, True),  # noqa: FBT003
+            partial(waiting.handle.take_message, waiting.msg_type, waiting.raw),
             lambda message: self._names(message[0]),
             topics.JOINT_STATES_INPUT_QOS.depth,
         )

@@ -93,7 +93,7 @@ class SimNode(LifecycleBase[NodeSettings]):
             return
         if self._sim_clock is None:
             now_ns = min(self.now_ns(), self._time_ns + _MAX_STEP_NS)
-        elif self._is_awaited and (self._missing() or not self._joint_states.get_subscription_count()):
+        elif self._is_awaited and self._missing():
             self._sim_clock.hold()
             return
         else:
@@ -112,13 +112,13 @@ class SimNode(LifecycleBase[NodeSettings]):
         self._time_ns = now_ns
 
     def _missing(self) -> list[str]:
-        """Return the listeners that have not subscribed yet."""
+        """Return the listeners that have not subscribed yet; without any stated, one that stands for all nodes."""
         found = {info.node_name for info in self.get_subscriptions_info_by_topic(topics.JOINT_STATES)}
-        return sorted({*self.settings.listeners} - found)
+        return sorted({*self.settings.listeners} - found) or ([] if found else ["a subscriber"])
 
     def _log_status(self) -> None:
         count = self._joint_states.get_subscription_count()
-        waits = f": waits for {', '.join(self._missing()) or 'one'}" * self._is_awaited
+        waits = f": waits for {', '.join(self._missing())}" * self._is_awaited
         simulated_s = (self._time_ns - self._start_ns) / _NS
         self.get_logger().info(f"simulated {simulated_s:.1f} s, {count} subscribers of joint_states{waits}")
 

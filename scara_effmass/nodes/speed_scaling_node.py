@@ -122,9 +122,9 @@ class SpeedScalingNode(LifecycleBase[NodeSettings]):
         """
         skipped = 0
         if is_late(info, self.now_ns() - header_stamp_ns(data), self.settings.timeout):
-            handle, depth = self._contact_states.handle, topics.STREAM_QOS.depth
-            take = lambda: handle.take_message(ContactStates, True)  # noqa: E731, FBT003
-            ((data, _),), skipped = newest_waiting((data, info), take, lambda _: None, depth)
+            waiting = self._contact_states
+            take = partial(waiting.handle.take_message, waiting.msg_type, waiting.raw)
+            ((data, _),), skipped = newest_waiting((data, info), take, lambda _: None, topics.STREAM_QOS.depth)
             self._skipped += skipped
         try:
             decision = decode_contact_states(data)
