@@ -29,8 +29,8 @@ from scara_effmass.wire.run_info import decode_run_info
 
 _POLL_PERIOD_S = 0.01
 _GRAPH_PERIOD_NS = 250_000_000
-_TAKE_NS = 20_000_000
-"""Longest time of taking messages of one topic in a poll: a busy machine may not keep up with them."""
+_TAKE_NS = 200_000_000
+"""Longest time of taking messages of one topic in a poll: more would hold it, less cut short what waited for it."""
 _LATEST = topics.Qos(1, reliable=False)
 _RARE = topics.Qos(200)
 _MAX_DEADLINE_NS = 3_600_000_000_000
