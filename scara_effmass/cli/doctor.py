@@ -129,7 +129,7 @@ def _installation() -> Iterator[CheckResult]:
             reason = " ".join(str(error).split()) or type(error).__name__
             yield CheckResult("wrong", subject, f"{reason}; install scara_effmass again, or source ROS 2")
     compiled = "compiled by numba, for the live monitor and for many joint states at once"
-    yield CheckResult.of("kernel", compiled, import_module("scara_effmass.kernel.jit").WHY_NOT)
+    yield CheckResult.of("kernel", compiled, import_module("scara_effmass.kernel.compiled").why_not())
 
 
 def _version(module: str, wheel: str) -> str:
@@ -264,7 +264,7 @@ def _home_masses(dynamics: RobotDynamics) -> Iterator[tuple[str, str]]:
 
 def tightest(dynamics: RobotDynamics, settings: MonitorSettings) -> Iterator[CheckResult]:
     """Say which contact has the largest share of its allowable speed in how many random motions."""
-    from scara_effmass.safety import Monitor  # noqa: PLC0415 - loads numba
+    from scara_effmass.safety import Monitor  # noqa: PLC0415 - loads the kernel
 
     if len(dynamics.contact_points) == 1:
         return

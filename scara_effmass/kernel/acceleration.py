@@ -7,8 +7,8 @@ import math
 
 from scara_effmass.iso15066.allowable_speed import CLAMPED_SHARE
 from scara_effmass.kernel.codes import Model, Normal
+from scara_effmass.kernel.compiled import inlined
 from scara_effmass.kernel.contact_point import Approach
-from scara_effmass.kernel.jit import inlined
 from scara_effmass.kernel.mobility import inverse, trace
 from scara_effmass.kernel.pose_change import assign, matrix_of
 from scara_effmass.kernel.records import MIN_NORMAL_COMPONENT, Case, Mobility, Setup, Work

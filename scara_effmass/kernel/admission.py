@@ -16,8 +16,7 @@ import math
 from typing import Any
 
 from scara_effmass.codes import Reason
-from scara_effmass.kernel.jit import compiled, inlined
-from scara_effmass.kernel.reasons import set_reason
+from scara_effmass.kernel.compiled import BYTES, MATRICES, compiled, inlined
 from scara_effmass.kernel.records import ByteArray
 from scara_effmass.kernel.state import (
     CODE,
@@ -31,6 +30,7 @@ from scara_effmass.kernel.state import (
     Memory,
     Rules,
     State,
+    set_reason,
 )
 from scara_effmass.values import FloatArray
 
@@ -267,7 +267,7 @@ def check(  # noqa: C901, PLR0911 - one check after the other
     return True
 
 
-@compiled
+@compiled(BYTES, MATRICES, BYTES, BYTES, BYTES)
 def admit(
     states: ByteArray, motions: FloatArray, rules_of: ByteArray, memory_of: ByteArray, joints_of: ByteArray
 ) -> None:
@@ -275,7 +275,7 @@ def admit(
 
     `motions` (N, 5, n) are q, qd, tolerances of qd, qdd and its errors. The latter three are written here; in place of
     qdd comes the change of a filtered qd.
-    All but `motions` are the bytes of State, Rules, Memory and JointMemory: numba recognizes records slowly at a call.
+    All but `motions` are the bytes of State, Rules, Memory and JointMemory.
     """
     joints: Any = joints_of.view(JOINT_MEMORY)
     rules, memory = rules_of.view(RULES)[0], memory_of.view(MEMORY)[0]
@@ -301,7 +301,7 @@ def admit(
             state.reason[CODE], state.reason[DETAIL] = rules.distrusted_code, rules.distrusted_detail
 
 
-@compiled
+@compiled(BYTES, BYTES)
 def forget_all(memory_of: ByteArray, joints_of: ByteArray) -> None:
     """Forget all joint states, and the latest command."""
     joints: Any = joints_of.view(JOINT_MEMORY)

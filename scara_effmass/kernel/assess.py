@@ -12,6 +12,7 @@ from scara_effmass.iso15066 import contact as spring
 from scara_effmass.iso15066.contact import MAX_TURN
 from scara_effmass.kernel.acceleration import set_acceleration, set_normal_acceleration
 from scara_effmass.kernel.codes import Model, Normal
+from scara_effmass.kernel.compiled import BYTES, MATRICES, compiled, inlined
 from scara_effmass.kernel.contact_point import (
     Approach,
     approach_of,
@@ -29,7 +30,6 @@ from scara_effmass.kernel.hull import (
     worst_mass_at_rest,
     worst_reduced_mass,
 )
-from scara_effmass.kernel.jit import compiled, inlined
 from scara_effmass.kernel.mobility import (
     along,
     set_scalar,
@@ -40,7 +40,6 @@ from scara_effmass.kernel.mobility import (
 from scara_effmass.kernel.model_choice import Choice, choose_models, largest_along, mass_along, worst_mass
 from scara_effmass.kernel.person import Person, person_of, set_principal, set_single
 from scara_effmass.kernel.pose_change import assign, assign_symmetric, turn_change
-from scara_effmass.kernel.reasons import set_reason
 from scara_effmass.kernel.records import (
     CASE,
     CONTACT,
@@ -71,7 +70,7 @@ from scara_effmass.kernel.speed_limit import (
     pushed_rate,
     with_push,
 )
-from scara_effmass.kernel.state import STATE, VALUES
+from scara_effmass.kernel.state import STATE, VALUES, set_reason
 from scara_effmass.kernel.static_force import clamping_force, holding_force
 from scara_effmass.values import NO_MOBILITY, ZERO_VECTOR, FloatArray, Mobility6, Vector3, Verdict
 
@@ -425,7 +424,7 @@ def explain(error: Reason, value: float, contact: Contact) -> None:
     set_reason(contact.reason, error, 0, value, mass, 0.0)
 
 
-@compiled
+@compiled(BYTES, MATRICES, BYTES, BYTES, BYTES, MATRICES, BYTES)
 def assess_states(
     rows: ByteArray,
     motions: FloatArray,
@@ -438,8 +437,7 @@ def assess_states(
     """Write in `numbers` (N, P, fields) the contacts of P points at the admitted ones of N joint states.
 
     `rows` are the bytes of their States, `motions` (N, 6, n) q, qd, tolerances of qd, qdd, its errors, replaced qdd;
-    `robot`, `at` and `limits` are the bytes of Setup, Points and the Cases of each: numba recognizes records slowly at
-    a call. `scratch` holds one Work: numba frees an array made here while its record is in use.
+    `robot`, `at` and `limits` are the bytes of Setup, Points and the Cases of each, `scratch` those of one Work.
     """
     cases: Any
     setup, points, cases, contacts = robot.view(SETUP)[0], at.view(POINT), limits.view(CASE), numbers.view(CONTACT)

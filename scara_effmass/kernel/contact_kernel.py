@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import chain
 from typing import Any
 
@@ -51,7 +51,6 @@ class ContactKernel:
         regions = [limit.region for limit in limits[0]]
         rows = [_case(case, regions.index(case.limit.region)) for case in chain(*cases)]
         self._arrays = _bytes([self._setup(settings, cases[0])]), _bytes(points), _bytes(rows)
-        self._spare: list[ByteArray] = []
 
     def _setup(self, settings: MonitorSettings, cases: Sequence[ContactCase]) -> Setup:
         """Return robot and settings, `cases` those of any contact: no field depends on their forces."""
@@ -130,14 +129,9 @@ class ContactKernel:
         frame = model.frames[self._dynamics.robot.frame_indices()[name]]
         return frame.parentJoint - 1, frame.placement.rotation @ np.array(vector)
 
-    def compute(self, states: ByteArray, motions: FloatArray, numbers: FloatArray) -> None:
-        """Write the contacts at the admitted ones of N joint states, as `assess_states`; several threads may do so."""
-        try:
-            scratch = self._spare.pop()
-        except IndexError:
-            scratch = np.empty(WORK.itemsize, np.uint8)
-        assess_states(states, motions, *self._arrays, numbers, scratch)
-        self._spare.append(scratch)
+    def bind(self, states: ByteArray, motions: FloatArray, numbers: FloatArray) -> Callable[[], None]:
+        """Return what writes the contacts at the admitted ones of N joint states, as `assess_states`."""
+        return assess_states.bind(states, motions, *self._arrays, numbers, np.empty(WORK.itemsize, np.uint8))
 
 
 def _point(robot: Robot, contact: ContactPoint, cases: Sequence[ContactCase]) -> Point:

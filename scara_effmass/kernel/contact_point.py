@@ -11,8 +11,8 @@ import math
 from typing import NamedTuple
 
 from scara_effmass.kernel.codes import Model, Normal
+from scara_effmass.kernel.compiled import inlined
 from scara_effmass.kernel.dynamics import fill_coriolis
-from scara_effmass.kernel.jit import inlined
 from scara_effmass.kernel.pose_change import set_change
 from scara_effmass.kernel.records import MIN_NORMAL_COMPONENT, Mobility, Point, Setup, Work
 from scara_effmass.kernel.spatial import (

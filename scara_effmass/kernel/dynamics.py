@@ -13,7 +13,7 @@ import math
 from typing import NamedTuple
 
 from scara_effmass.kernel.codes import Model
-from scara_effmass.kernel.jit import inlined
+from scara_effmass.kernel.compiled import inlined
 from scara_effmass.kernel.records import Setup, Work
 from scara_effmass.kernel.spatial import (
     NO_MOTION,

@@ -10,8 +10,8 @@ import math
 from typing import NamedTuple
 
 from scara_effmass.kernel.codes import Model
+from scara_effmass.kernel.compiled import inlined
 from scara_effmass.kernel.contact_point import Approach
-from scara_effmass.kernel.jit import inlined
 from scara_effmass.kernel.mobility import (
     adjugate,
     determinant,

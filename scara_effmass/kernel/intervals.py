@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from scara_effmass.kernel.admission import displacement
-from scara_effmass.kernel.jit import compiled
+from scara_effmass.kernel.compiled import INTEGER, INTEGERS, MATRICES, MATRIX, VECTOR, compiled
 from scara_effmass.kernel.records import IntArray
 from scara_effmass.values import FloatArray
 
@@ -65,6 +65,7 @@ class Intervals:
                 np.concatenate(rows) for rows in zip(self._waiting[:, :waiting], (q, qd, torque), strict=True)
             )
             self._count = 0
+        q, qd, torque = np.ascontiguousarray(q), np.ascontiguousarray(qd), np.ascontiguousarray(torque)
         ends, means = np.empty(len(stamps), np.int64), np.empty((len(stamps), 6, len(self._periods)))
         count = fill_intervals(
             stamps, q, qd, torque, self._periods, self._timeout_ns, self._memory, self._stamps, ends, means
@@ -74,7 +75,7 @@ class Intervals:
         return ends[:count] - waiting, means[:count]
 
 
-@compiled
+@compiled(INTEGERS, MATRIX, MATRIX, MATRIX, VECTOR, INTEGER, MATRIX, INTEGERS, INTEGERS, MATRICES)
 def fill_intervals(
     stamps: IntArray,
     q: FloatArray,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from scara_effmass.kernel.jit import inlined
+from scara_effmass.kernel.compiled import inlined
 from scara_effmass.kernel.records import Mobility
 from scara_effmass.kernel.spatial import dot, symmetric_product
 from scara_effmass.reference.mobility import BOUND_TOLERANCE, CLAMPED_TOLERANCE, MAX_NEGATIVE

@@ -9,8 +9,8 @@ from typing import NamedTuple
 from scara_effmass.codes import ModelReason, NoLumpedMass, Reason
 from scara_effmass.iso15066 import MIN_EFFECTIVE_MASS
 from scara_effmass.kernel.codes import Model, Normal
+from scara_effmass.kernel.compiled import inlined
 from scara_effmass.kernel.contact_point import Approach, mobility_of
-from scara_effmass.kernel.jit import inlined
 from scara_effmass.kernel.mobility import along, inverse, is_bounded, is_definite, smallest_eigenvalue
 from scara_effmass.kernel.records import Setup, Work
 from scara_effmass.kernel.spatial import dot, vector_at

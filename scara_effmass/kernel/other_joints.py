@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from scara_effmass.kernel.admission import CONFIRMATION_NS, NANOSECONDS, displacement
-from scara_effmass.kernel.jit import compiled, inlined
+from scara_effmass.kernel.compiled import FLAGS, INTEGER, INTEGERS, MATRIX, NUMBER, VECTOR, compiled, inlined
 from scara_effmass.kernel.records import IntArray
 from scara_effmass.values import BoolArray, FloatArray
 
@@ -58,10 +58,6 @@ class OtherJoints:
         self.held_tolerance, self.silence_ns = 0.0, MIN_SILENCE_NS
         """Distance [rad, m] up to which a joint is where the model holds it; time [ns] after which it is silent."""
         self.forget()
-
-    def compile(self) -> None:
-        """Compile or load what `watch` calls."""
-        self.watch(self.numbers(["joint"]), np.ones(1, np.int64), np.zeros((1, 1)), np.zeros((1, 1)))
 
     def forget(self) -> None:
         """Forget which joints there were, and where. One that was seen need not be seen again: it may have gone."""
@@ -124,7 +120,12 @@ def _state_at(clock: int, state: int, seen_ns: int, silence_ns: int) -> int:
     return SILENT if is_silent and state in (RESTS, ELSEWHERE) else state
 
 
-@compiled
+@compiled(
+    *(INTEGERS, MATRIX, MATRIX, INTEGERS),
+    *(VECTOR, VECTOR, INTEGERS, INTEGERS, INTEGERS, FLAGS),
+    *(NUMBER, NUMBER, NUMBER, INTEGER),
+    *(INTEGERS, INTEGERS, VECTOR),
+)
 def watch(
     clocks: IntArray,
     position: FloatArray,

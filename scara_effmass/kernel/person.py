@@ -7,8 +7,8 @@ import math
 from typing import NamedTuple
 
 from scara_effmass.kernel.acceleration import acceleration_time, along, lasting_time, least_mobility
+from scara_effmass.kernel.compiled import inlined
 from scara_effmass.kernel.contact_point import Approach
-from scara_effmass.kernel.jit import inlined
 from scara_effmass.kernel.mobility import trace
 from scara_effmass.kernel.pose_change import assign, contact_time, matrix_of
 from scara_effmass.kernel.records import Case, Mobility, Principal, Setup

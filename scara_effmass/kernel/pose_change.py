@@ -7,7 +7,7 @@ import math
 from typing import NamedTuple
 
 from scara_effmass.iso15066.contact import TIME_FACTOR, TRANSIENT_S
-from scara_effmass.kernel.jit import inlined
+from scara_effmass.kernel.compiled import inlined
 from scara_effmass.kernel.mobility import adjugate, along, determinant, inverse, shifted, trace
 from scara_effmass.kernel.records import Mobility
 from scara_effmass.kernel.spatial import (

@@ -11,8 +11,7 @@ from typing import Any
 
 from scara_effmass import values
 from scara_effmass.codes import Reason
-from scara_effmass.kernel.jit import compiled, inlined
-from scara_effmass.kernel.reasons import copy_reason, set_reason
+from scara_effmass.kernel.compiled import BYTES, MATRICES, VECTOR, compiled, inlined
 from scara_effmass.kernel.records import CONTACT, ByteArray, Contact
 from scara_effmass.kernel.state import (
     CODE,
@@ -26,6 +25,8 @@ from scara_effmass.kernel.state import (
     Debounce,
     Memory,
     State,
+    copy_reason,
+    set_reason,
 )
 from scara_effmass.values import FloatArray, Verdict
 
@@ -120,7 +121,7 @@ def summarize(state: State, contacts: tuple[Contact, ...], reference_speed: floa
     state.verdict = int(contacts[state.contact].verdict)
 
 
-@compiled
+@compiled(BYTES, MATRICES, VECTOR, BYTES, BYTES, BYTES)
 def settle(
     states: ByteArray,
     numbers: FloatArray,

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from scara_effmass.kernel.jit import inlined
+from scara_effmass.kernel.compiled import inlined
 from scara_effmass.values import ZERO_VECTOR, FloatArray, Mobility6, Vector3
 
 Matrix = tuple[Vector3, Vector3, Vector3]

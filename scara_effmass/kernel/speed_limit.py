@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 from scara_effmass.iso15066.drives import MAX_MOBILITY
 from scara_effmass.kernel.acceleration import acceleration_time, error_root, gain, max_rate, rates_along
+from scara_effmass.kernel.compiled import inlined
 from scara_effmass.kernel.hull import energy_anywhere, first_energy_anywhere, worst_reduced_mass
-from scara_effmass.kernel.jit import inlined
 from scara_effmass.kernel.mobility import inverse, point_reduced_mass
 from scara_effmass.kernel.person import (
     MAX_ROUNDS,

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Records of joint states on their way through the monitor, and of what it remembers between them."""
+"""Records of joint states on their way through the monitor, of what it remembers between them, and reasons in them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Annotated
 
+from scara_effmass.codes import Reason
+from scara_effmass.kernel.compiled import inlined
 from scara_effmass.kernel.records import REASON_SIZE, IntArray, dtype_of
 from scara_effmass.values import FloatArray
 
@@ -133,3 +135,19 @@ class Debounce:
 
 STATE, RULES, MEMORY = dtype_of(State), dtype_of(Rules), dtype_of(Memory)
 JOINT_MEMORY, DEBOUNCE = dtype_of(JointMemory), dtype_of(Debounce)
+
+
+@inlined
+def set_reason(reason: FloatArray, code: Reason, joint: int, a: float, b: float, c: float) -> None:
+    """Write a reason with its joint and up to three numbers."""
+    for i in range(REASON_SIZE):
+        reason[i] = 0.0
+    reason[CODE], reason[JOINT] = code.value, joint
+    reason[VALUES], reason[VALUES + 1], reason[VALUES + 2] = a, b, c
+
+
+@inlined
+def copy_reason(source: FloatArray, target: FloatArray) -> None:
+    """Copy a reason."""
+    for i in range(REASON_SIZE):
+        target[i] = source[i]

@@ -7,8 +7,8 @@ import math
 from collections.abc import Sequence
 
 from scara_effmass.kernel.codes import Normal
+from scara_effmass.kernel.compiled import inlined
 from scara_effmass.kernel.contact_point import Approach
-from scara_effmass.kernel.jit import inlined
 from scara_effmass.kernel.pose_change import mass_matrix
 from scara_effmass.kernel.records import Case, Mobility, Setup, Work
 from scara_effmass.kernel.spatial import dot, norm, scale, symmetric_product, vector, vector_at

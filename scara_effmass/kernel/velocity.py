@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scara_effmass.kernel.admission import displacement
-from scara_effmass.kernel.jit import compiled, inlined
+from scara_effmass.kernel.compiled import FLAG, FLAGS, INTEGER, INTEGERS, MATRICES, MATRIX, VECTOR, compiled, inlined
 from scara_effmass.kernel.records import IntArray
 from scara_effmass.values import FloatArray
 
@@ -55,7 +55,7 @@ class VelocityWindow:
         return delays, known
 
 
-@compiled
+@compiled(INTEGERS, MATRIX, VECTOR, INTEGER, INTEGER, INTEGER, FLAG, MATRICES, VECTOR, FLAGS)
 def filter_rows(
     stamps: IntArray,
     samples: FloatArray,

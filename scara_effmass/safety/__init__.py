@@ -12,7 +12,7 @@ __all__ = ["Assessments", "Cause", "Monitor", "unknown_assessments", "unknown_co
 
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401
-    """Import a public name on first use: the monitor loads numba, which most nodes do without."""
+    """Import a public name on first use: the monitor loads Pinocchio, which most nodes do without."""
     if name in __all__:
         module = "monitor" if name in {"Cause", "Monitor"} else "assessments"
         return getattr(import_module(f"{__name__}.{module}"), name)

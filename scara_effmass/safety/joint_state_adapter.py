@@ -7,20 +7,18 @@ import re
 from collections.abc import Collection, Iterable, Sequence
 from difflib import SequenceMatcher
 from fnmatch import fnmatchcase
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scara_effmass.codes import Reason
 from scara_effmass.errors import SettingsError
+from scara_effmass.kernel.velocity import VelocityWindow
 from scara_effmass.model.description import HeldJoint
 from scara_effmass.settings import MonitorSettings, VelocitySource
 from scara_effmass.settings.loading import nearest
 from scara_effmass.values import FloatArray, JointState
-
-if TYPE_CHECKING:
-    from scara_effmass.kernel.velocity import VelocityWindow
 
 MIN_SIMILARITY = 0.3
 """Smallest ratio of difflib at which two names count as similar."""
@@ -98,8 +96,6 @@ class JointStateAdapter:
         self._from_positions = settings.velocity_source is VelocitySource.FROM_POSITIONS
         self._window: VelocityWindow | None = None
         if settings.filters_velocity:
-            from scara_effmass.kernel.velocity import VelocityWindow  # noqa: PLC0415 - loads numba
-
             window = settings.velocity_window
             self._window = VelocityWindow(self._periods, window, settings.timeout, self._from_positions)
 

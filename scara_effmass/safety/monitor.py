@@ -7,6 +7,7 @@ One path for one joint state and for many: admission, numbers, debouncing and la
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from itertools import pairwise
 from struct import Struct
 from typing import NamedTuple
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from scara_effmass.codes import Assumption, Reason
 from scara_effmass.errors import EffmassError, KernelError, RobotError
 from scara_effmass.iso15066 import Limit, limits_of
-from scara_effmass.kernel import jit
+from scara_effmass.kernel import compiled
 from scara_effmass.kernel.admission import METRES_PER_RADIAN, NANOSECONDS, WINDOW_S, admit, forget_all
 from scara_effmass.kernel.contact_kernel import ContactKernel, too_large
 from scara_effmass.kernel.other_joints import ELSEWHERE, MIN_SILENCE_NS, RESTS, UNREPORTED, Found, OtherJoints
@@ -96,6 +97,14 @@ class Pending(NamedTuple):
     texts: ReasonTexts
 
 
+class Calls(NamedTuple):
+    """The steps of the kernel with the arrays of one Pending."""
+
+    admit: Callable[[], None]
+    compute: Callable[[], None]
+    settle: Callable[[], None]
+
+
 class Monitor:
     """Assesses joint states. The same joint states give the same assessments, live and offline, one by one or not.
 
@@ -111,8 +120,8 @@ class Monitor:
         robot = dynamics.robot
         if reason := robot.units_reason:
             raise RobotError(f"{robot.origin}: {reason}")
-        if jit.WHY_NOT and not use_reference:
-            raise KernelError(f"{jit.WHY_NOT}: repair it, or set use_reference to compute without it, slowly")
+        if not use_reference and (reason := compiled.why_not()):
+            raise KernelError(f"{reason}: repair it, or set use_reference to compute without it, slowly")
         self.dynamics, self.settings = dynamics, settings
         self._why_reference = "use_reference" if use_reference else too_large(robot)
         self.kernel_fault = ""
@@ -144,9 +153,9 @@ class Monitor:
         """Those of the reasons that are remembered."""
 
     def compile(self) -> None:
-        """Compile the kernel or load it, by assessing TRIALS joint states on copies of the memory. Raises KernelError.
+        """Compare the kernel with the reference at TRIALS joint states, which reveals a faulty compiler or cache.
 
-        Compare it with the reference, too, which reveals a faulty compiler or cache.
+        Raises KernelError where it does not run.
         """
         robot, trial = self.dynamics.robot, self._new_pending(TRIALS)
         trial.records["stamp_ns"] = trial.records["now_ns"] = np.arange(1, TRIALS + 1)
@@ -157,7 +166,6 @@ class Monitor:
         trial.motions[:, 1] = qd * ((rounds + 1) % 3)[:, None]
         rules, memory, joints, debounces = (array.copy() for array in self._memory_bytes)
         try:
-            OtherJoints({}).compile()
             admit(trial.states, trial.motions, rules, memory, joints)
             trial.records["is_admitted"] = 1
             self.compute(trial)
@@ -168,9 +176,7 @@ class Monitor:
             field = next(filter(None, fields), "")
             settle(trial.states, trial.numbers, trial.unknown, rules, memory, debounces)
         except Exception as error:
-            raise KernelError(
-                f"the kernel cannot be compiled: {error!r}: set use_reference to do without it"
-            ) from error
+            raise KernelError(f"the kernel does not run: {error!r}: set use_reference to do without it") from error
         if field and not self._why_reference:
             self._doubt(field)
 
@@ -233,6 +239,7 @@ class Monitor:
         self._normal = f"{settings.contact_normal} {settings.contact_normal_frame}".strip()
         self._points = self.dynamics.contact_points
         self._single = self._new_pending(1)
+        self._single_calls = self._bind(self._single)
         if not self.load_watch.is_of(self.dynamics, settings):
             self.load_watch = LoadWatch(self.dynamics, settings)
 
@@ -496,14 +503,13 @@ class Monitor:
             is_stated = self._max_qdd >= np.abs(qdd) + errors  # a stated one counts in both directions
             pending.motions[:, 5] = np.where(is_stated, qdd, 0.0)
             errors[:], qdd[is_stated] = np.where(is_stated, self._max_qdd, errors), 0.0
-        pending.kernel.compute(pending.states, pending.motions, pending.numbers)
+        self._calls(pending).compute()
 
     def settle(self, pending: Pending) -> Assessments:
         """Return the assessments of joint states that are computed, in the order of admission."""
         if pending.texts is not self._remembered_texts:
             self._restate(pending.texts)
-        rules, memory, _, debounces = self._memory_bytes
-        settle(pending.states, pending.numbers, pending.unknown, rules, memory, debounces)
+        self._calls(pending).settle()
         states, numbers = pending.states, pending.numbers
         if pending is self._single:
             states, numbers = states.copy(), numbers.copy()
@@ -561,6 +567,19 @@ class Monitor:
         states, q, qd = records.view(np.uint8), motions[:, 0], motions[:, 1]
         return Pending(records, states, motions, q, qd, numbers, self._kernel, self._unknown, self._texts)
 
+    def _bind(self, pending: Pending) -> Calls:
+        states, motions, numbers = pending.states, pending.motions, pending.numbers
+        rules, memory, joints, debounces = self._memory_bytes
+        return Calls(
+            admit.bind(states, motions, rules, memory, joints),
+            pending.kernel.bind(states, motions, numbers),
+            settle.bind(states, numbers, pending.unknown, rules, memory, debounces),
+        )
+
+    def _calls(self, pending: Pending) -> Calls:
+        """Return the steps for `pending`; those for one joint state are always the same."""
+        return self._single_calls if pending is self._single else self._bind(pending)
+
     def _ignore(self, layout: Layout, clocks: IntArray, position: FloatArray, velocity: FloatArray) -> None:
         """Count joint states of other devices, and note which of their joints move."""
         self.ignored += len(clocks)
@@ -599,8 +618,7 @@ class Monitor:
                 pending.records["delay"], known = filtered
                 pending.records["reason"][~known, CODE] = Reason.LONE_POSITION
             self._refuse_unmodelled(pending.records, layout, position, velocity)
-        rules, memory, joints, _ = self._memory_bytes
-        admit(pending.states, pending.motions, rules, memory, joints)
+        self._calls(pending).admit()
         if layout.reason is Reason.NONE:
             self._watch_load(pending, layout, effort)
 

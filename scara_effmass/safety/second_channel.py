@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -33,8 +34,12 @@ class ReferenceChannel:
         cancels = settings.drives is Drives.SERVO or settings.contact is ContactType.QUASI_STATIC
         self._tolerance = CANCELLED if cancels else AGREEMENT
 
+    def bind(self, states: ByteArray, motions: FloatArray, numbers: FloatArray) -> Callable[[], None]:
+        """Return what writes the contacts, as `ContactKernel.bind`."""
+        return partial(self.compute, states, motions, numbers)
+
     def compute(self, states: ByteArray, motions: FloatArray, numbers: FloatArray, chosen: slice = slice(None)) -> None:
-        """Write the `chosen` contacts at the admitted ones of N joint states, as `ContactKernel.compute` does all."""
+        """Write the `chosen` contacts at the admitted ones of N joint states, as the kernel does all."""
         contacts = numbers.view(CONTACT)[..., 0][:, chosen]
         records = states.view(STATE)
         for row in np.flatnonzero(records["is_admitted"]).tolist():

@@ -114,7 +114,7 @@ def computed(channel: ContactKernel | ReferenceChannel, dynamics: RobotDynamics,
     states = np.zeros(len(motions), STATE)
     states["is_admitted"], states["age"] = 1, np.arange(len(motions)) % 5 * 0.01
     numbers = np.zeros((len(motions), len(dynamics.contacts), CONTACT.itemsize // 8))
-    channel.compute(states.view(np.uint8), motions, numbers)
+    channel.bind(states.view(np.uint8), np.ascontiguousarray(motions), numbers)()
     return numbers.view(CONTACT)[..., 0]
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from scara_effmass.codes import Reason
 from scara_effmass.errors import KernelError
-from scara_effmass.kernel import jit
+from scara_effmass.kernel import compiled
 from scara_effmass.kernel.contact_kernel import ContactKernel
 from scara_effmass.kernel.records import CONTACT, ByteArray
 from scara_effmass.model.load import load_robot
@@ -97,8 +97,8 @@ def test_monitor_with_kernel_decides_as_one_with_the_reference(robot: Path | Non
 
 
 def test_monitor_without_numba_says_so_unless_told_to_use_the_reference(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(jit, "WHY_NOT", "numba cannot be imported: no module")
-    with pytest.raises(KernelError, match=r"numba cannot be imported: no module: .* set use_reference"):
+    monkeypatch.setattr(compiled, "why_not", lambda: "the kernel cannot be compiled: no module")
+    with pytest.raises(KernelError, match=r"cannot be compiled: no module: .* set use_reference"):
         new_monitor()
     monitor = new_monitor(use_reference=True, contact_points=POINTS)
     monitor.compile()
@@ -121,8 +121,8 @@ def test_kernel_that_cannot_be_compiled_says_why(monkeypatch: pytest.MonkeyPatch
         raise OSError("the cache is damaged")
 
     monitor = new_monitor()
-    monkeypatch.setattr(ContactKernel, "compute", fail)
-    with pytest.raises(KernelError, match=r"cannot be compiled: OSError\('the cache is damaged'\): set use_reference"):
+    monkeypatch.setattr(ContactKernel, "bind", fail)
+    with pytest.raises(KernelError, match=r"does not run: OSError\('the cache is damaged'\): set use_reference"):
         monitor.compile()
 
 
@@ -134,17 +134,24 @@ def spoil(
     contacts: slice = slice(None),
 ) -> list[int]:
     """Let the kernel compute `field` of `contacts` wrongly after `correct` runs; return the list of its runs."""
-    compute = ContactKernel.compute
+    bind = ContactKernel.bind
     runs: list[int] = []
 
-    def wrong(kernel: ContactKernel, states: ByteArray, motions: FloatArray, numbers: FloatArray) -> None:
-        compute(kernel, states, motions, numbers)
-        runs.append(len(runs))
-        if len(runs) > correct:
-            for contact in numbers.view(CONTACT)[:, contacts].ravel():
-                contact[field] = change(contact[field])
+    def bind_wrong(
+        kernel: ContactKernel, states: ByteArray, motions: FloatArray, numbers: FloatArray
+    ) -> Callable[[], None]:
+        compute = bind(kernel, states, motions, numbers)
 
-    monkeypatch.setattr(ContactKernel, "compute", wrong)
+        def wrong() -> None:
+            compute()
+            runs.append(len(runs))
+            if len(runs) > correct:
+                for contact in numbers.view(CONTACT)[:, contacts].ravel():
+                    contact[field] = change(contact[field])
+
+        return wrong
+
+    monkeypatch.setattr(ContactKernel, "bind", bind_wrong)
     return runs
 
 
@@ -152,8 +159,8 @@ def spoil(
 def test_contacts_are_compared_by_turns(monkeypatch: pytest.MonkeyPatch, wrong: int) -> None:
     """So that no callback waits for the reference of them all."""
     monkeypatch.setattr(monitor_module, "CHECK_INTERVAL", INTERVAL)
-    monitor = new_monitor(drives="free", contact_points=POINTS)
     runs = spoil(monkeypatch, "allowable_speed", lambda value: value + 1e-6, contacts=slice(wrong, wrong + 1))
+    monitor = new_monitor(drives="free", contact_points=POINTS)
     for state in motion(monitor, (wrong + 1) * INTERVAL, steps=1000):
         monitor.assess(state, state.stamp_ns)
         if monitor.kernel_fault:
@@ -202,8 +209,8 @@ def test_wrong_record_of_the_kernel_gives_unknown_and_is_the_last(
     monkeypatch.setattr(monitor_module, "CHECK_INTERVAL", INTERVAL)
     # With a servo the two are compared less closely.
     values: dict[str, Any] = {"drives": "free", "contact_points": POINTS}
-    monitor, reference = new_monitor(**values), new_monitor(use_reference=True, **values)
     runs = spoil(monkeypatch, field, change, correct)
+    monitor, reference = new_monitor(**values), new_monitor(use_reference=True, **values)
     faults: list[int] = []
     for count, state in enumerate(motion(monitor, 3 * INTERVAL, steps=2 * INTERVAL)):
         decision, expected = monitor.assess(state, state.stamp_ns), reference.assess(state, state.stamp_ns)

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compile the kernel to a library, in a process of its own: numba and LLVM take 40 s and 500 MB.
+
+numba translates the functions, LLVM writes object code, and the linker of the system makes a shared library of it, if
+there is one. numba calls a function with the addresses of its result and of an exception, then with the members of each
+array (none that owns it, size, size of an item, data, shape, strides), and gets a status, 0 for success; see
+numba.core.callconv. The library has these in one array of 8 bytes each.
+"""
+
+import os
+import shlex
+import subprocess
+import sys
+from contextlib import suppress
+from importlib import import_module
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from scara_effmass.kernel import compiled
+
+
+def main() -> None:
+    """Write the library to the standard output, or one line to the standard error."""
+    try:
+        library = _linked(_object_code())
+    except Exception as error:  # noqa: BLE001 - a damaged installation may raise anything
+        sys.exit(" ".join(str(error).split()) or type(error).__name__)
+    sys.stdout.buffer.write(library)
+
+
+def _object_code() -> bytes:
+    compiled.numba = numba = import_module("numba")
+    llvm: Any = import_module("llvmlite.binding")
+    numba.config.LOOP_VECTORIZE = 0  # takes a third of the time, for loops that are too short
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        if path.stem not in {"__init__", "compiler"}:
+            import_module(f"scara_effmass.kernel.{path.stem}")
+    library = llvm.parse_assembly("")
+    for name, (function, signature) in compiled.FUNCTIONS.items():
+        function.compile(signature)
+        part = llvm.parse_assembly(function.inspect_llvm(function.signatures[0]))
+        library.triple, library.data_layout = part.triple, part.data_layout
+        (native,) = (
+            found for found in part.functions if not found.is_declaration and found.linkage is llvm.Linkage.external
+        )
+        part.link_in(llvm.parse_assembly(_entry(name, native)))
+        library.link_in(part)
+    machine = llvm.Target.from_default_triple().create_target_machine(
+        cpu=llvm.get_host_cpu_name(),
+        features=llvm.get_host_cpu_features().flatten(),
+        opt=3,
+        reloc="pic",
+        codemodel="default",
+    )
+    code: bytes = machine.emit_object(library)
+    return code
+
+
+def _entry(name: str, native: Any) -> str:  # noqa: ANN401 - a function of llvmlite
+    """Return a function in the language of LLVM that takes the arguments of `native` from an array."""
+    types = [str(argument.type) for argument in native.arguments]
+    lines = [f"define i32 @{name}(ptr %array) {{"]
+    for i, kind in enumerate(types):
+        lines += [f"  %at{i} = getelementptr i64, ptr %array, i64 {i}", f"  %of{i} = load {kind}, ptr %at{i}"]
+    arguments = ", ".join(f"{kind} %of{i}" for i, kind in enumerate(types))
+    lines += [f"  %status = call i32 @{native.name}({arguments})", "  ret i32 %status", "}"]
+    return "\n".join([f"declare i32 @{native.name}({', '.join(types)})", *lines])
+
+
+def _linked(code: bytes) -> bytes:
+    """Return a shared library of object code; without a linker, the code."""
+    with suppress(OSError, subprocess.CalledProcessError), TemporaryDirectory() as folder:
+        source, library = Path(folder, "kernel.o"), Path(folder, "kernel.so")
+        source.write_bytes(code)
+        command = [*shlex.split(os.environ.get("CC") or "cc"), "-shared", "-Wl,-z,noexecstack"]
+        subprocess.run([*command, "-o", library, source, "-lm"], capture_output=True, check=True)  # noqa: S603
+        return library.read_bytes()
+    return code

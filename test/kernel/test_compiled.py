@@ -1,0 +1,216 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where compiled code is kept: folders that cannot be written, several processes at once, changed sources."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from scara_effmass.errors import KernelError
+from scara_effmass.kernel import compiled, records, state
+from scara_effmass.kernel.admission import forget_all
+
+# Without the finder of an editable installation, which comes before sys.path.
+FINDERS = "[finder for finder in sys.meta_path if getattr(finder, '__module__', '').startswith('_frozen')]"
+CALL = (
+    "import sys\n"
+    f"sys.meta_path[:] = {FINDERS}\n"
+    "import numpy as np\n"
+    "from scara_effmass.kernel import compiled, state\n"
+    "from scara_effmass.kernel.admission import forget_all\n"
+    "joints, memory = np.zeros(2, state.JOINT_MEMORY), np.ones(1, state.MEMORY)\n"
+    "forget_all(memory.view(np.uint8), joints.view(np.uint8))\n"
+    "assert memory['last_stamp_ns'][0] == 0 and joints['is_unconfirmed'].all()\n"
+    "print(compiled.why_not(), [name for name in ('numba', 'llvmlite') if name in sys.modules])\n"
+)
+"""Call one function of the kernel; print why it is not compiled, and what was loaded for that."""
+PART = {"__init__", "compiled", "compiler", "admission", "records", "state"}
+"""Modules of a kernel that is compiled in seconds."""
+LOADED = "[]"
+"""Output of CALL."""
+
+
+def first(*paths: Path) -> str:
+    """Return a PYTHONPATH that begins with `paths`."""
+    return os.pathsep.join([*map(str, paths), os.environ.get("PYTHONPATH", "")])
+
+
+def copy(folder: Path) -> Path:
+    """Return `folder` with a copy of the package, of whose kernel it has a part."""
+    ignored = shutil.ignore_patterns("__pycache__")
+    package = shutil.copytree(Path(compiled.__file__).parents[1], folder / "scara_effmass", ignore=ignored)
+    for module in (package / "kernel").glob("*.py"):
+        if module.stem not in PART:
+            module.unlink()
+    return folder
+
+
+def start(*paths: Path, **environment: str) -> subprocess.Popen[str]:
+    kept = {name: value for name, value in os.environ.items() if not name.startswith(("NUMBA_", "XDG_"))}
+    return subprocess.Popen(
+        [sys.executable, "-c", CALL],
+        cwd=paths[-1],
+        env=kept | environment | {"PYTHONPATH": first(*paths)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def output(process: subprocess.Popen[str]) -> str:
+    out, error = process.communicate(timeout=120)
+    assert process.returncode == 0, error
+    return out.strip()
+
+
+def folder(monkeypatch: pytest.MonkeyPatch, **environment: str) -> Path | None:
+    for name in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME", "HOME"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    return compiled.cache_folder()
+
+
+def test_stated_folder_comes_first_then_the_cache_of_the_user(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    stated, user, home = (str(tmp_path / name) for name in ("stated", "user", "home"))
+    found = [
+        folder(monkeypatch, NUMBA_CACHE_DIR=stated, XDG_CACHE_HOME=user, HOME=home),
+        folder(monkeypatch, XDG_CACHE_HOME=user, HOME=home),
+        folder(monkeypatch, HOME=home),
+    ]
+    expected = [tmp_path / "stated", tmp_path / "user/scara_effmass", tmp_path / "home/.cache/scara_effmass"]
+    assert [path and path.parent for path in found] == expected
+
+
+def test_home_that_cannot_be_written_leaves_the_folder_of_the_sources(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "home").touch()  # root may write into any folder, but not below a file
+    found = folder(monkeypatch, HOME=str(tmp_path / "home"))
+    assert found is not None
+    assert found.parent == Path(compiled.__file__).parent / "__pycache__"
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    assert compiled.cache_folder() is None
+
+
+def test_stated_folder_that_cannot_be_written_is_replaced_by_none(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Who states a folder does not want another one filled."""
+    (tmp_path / "file").touch()
+    assert folder(monkeypatch, NUMBA_CACHE_DIR=str(tmp_path / "file")) is None
+
+
+def test_each_version_of_the_sources_has_a_folder_of_its_own(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Also of the other rooms and modules whose constants are compiled in."""
+    package = Path(compiled.__file__).parents[1]
+    for room in ("kernel", "iso15066", "reference"):
+        shutil.copytree(package / room, tmp_path / room)
+    for module in ("codes.py", "values.py"):
+        shutil.copy(package / module, tmp_path)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
+    original = compiled.cache_folder()
+    monkeypatch.setattr(compiled, "__file__", str(tmp_path / "kernel" / "compiled.py"))
+    folders = [original, compiled.cache_folder()]
+    for changed in ("kernel/spatial.py", "iso15066/__init__.py", "reference/__init__.py", "codes.py", "values.py"):
+        with (tmp_path / changed).open("a", encoding="utf-8") as source:
+            source.write("\n")
+        folders.append(compiled.cache_folder())
+    assert folders[0] == folders[1]
+    for function in ("_processor", "_versions"):
+        monkeypatch.setattr(compiled, function, lambda: ["other"])
+        folders.append(compiled.cache_folder())
+    assert len(set(folders)) == len(folders) - 1
+
+
+def fields(dtype: np.dtype[Any]) -> Iterator[str]:
+    """Yield the names of all fields, also of records within."""
+    for name, (of_field, *_) in (dtype.fields or {}).items():
+        yield name
+        yield from fields(of_field.base)
+
+
+@pytest.mark.parametrize("module", [records, state])
+def test_no_field_of_a_record_has_the_name_of_a_method_of_numpy(module: ModuleType) -> None:
+    """Plain functions would get the method: without a library the kernel runs as plain Python."""
+    names = {name for value in vars(module).values() if isinstance(value, np.dtype) for name in fields(value)}
+    assert names
+    assert not names & set(dir(np.record))
+
+
+@pytest.fixture(scope="module")
+def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return copy(tmp_path_factory.mktemp("package"))
+
+
+@pytest.fixture(scope="module")
+def cache(package: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a cache that two processes filled at once."""
+    cache = tmp_path_factory.mktemp("cache")
+    processes = [start(package, NUMBA_CACHE_DIR=str(cache)) for _ in range(2)]
+    assert [output(process) for process in processes] == [LOADED, LOADED]
+    return cache
+
+
+@pytest.fixture
+def damaged(tmp_path: Path) -> Path:
+    """Return a folder with a numba that cannot be imported."""
+    (tmp_path / "numba.py").write_text("raise RuntimeError('damaged')\n", encoding="utf-8")
+    return tmp_path
+
+
+def only_file(cache: Path) -> Path:
+    (library,) = (path for path in cache.rglob("*") if path.is_file())
+    return library
+
+
+@pytest.mark.live
+def test_library_is_compiled_once_for_all_installations_of_the_same_sources(
+    cache: Path, package: Path, tmp_path: Path, damaged: Path
+) -> None:
+    kept = only_file(cache).stat().st_mtime_ns
+    for installation in (package, copy(tmp_path / "other")):
+        assert output(start(damaged, installation, NUMBA_CACHE_DIR=str(cache))) == LOADED
+    assert only_file(cache).stat().st_mtime_ns == kept
+
+
+@pytest.mark.live
+@pytest.mark.parametrize("size", [0, 40, 20_000])
+def test_damaged_library_is_compiled_again(cache: Path, package: Path, damaged: Path, size: int) -> None:
+    """As after a loss of power. Here numba is damaged, too, which shows that it was asked."""
+    copied = shutil.copytree(cache, damaged / "cache")
+    library = only_file(copied)
+    library.write_bytes(library.read_bytes()[:size])
+    found = output(start(damaged, package, NUMBA_CACHE_DIR=str(copied)))
+    assert found == "the kernel cannot be compiled: damaged []"
+
+
+@pytest.mark.live
+def test_object_code_is_loaded_where_there_is_no_linker_and_compiled_each_time_without_a_folder(
+    package: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "file").touch()
+    process = start(package, CC=str(tmp_path / "missing"), NUMBA_CACHE_DIR=str(tmp_path / "file"))
+    assert output(process) == "['llvmlite']"
+
+
+@pytest.mark.live
+def test_call_with_arrays_that_do_not_fit_each_other_is_an_error_as_in_python() -> None:
+    with pytest.raises(KernelError, match="exception"):
+        forget_all(np.zeros(3, np.uint8), np.zeros(3, np.uint8))
+
+
+@pytest.mark.parametrize("wrong", [np.zeros((1, 8), np.uint8), np.zeros(8), np.zeros(16, np.uint8)[::2]])
+def test_array_of_another_type_is_refused(wrong: NDArray[Any]) -> None:
+    with pytest.raises(TypeError, match=r"forget_all: must be uint8\[::1\], is"):
+        forget_all(wrong, np.zeros(8, np.uint8))
