@@ -375,7 +375,6 @@ class Detector:
         if self._held is not None:
             self._extend_contact(self._held, self._held_from, self._processed)
         if self._first_search:
-            self._count_unseen(baseline.force, baseline.threshold)
             # The recording may begin just before a load.
             levels = (frame.median_and_deviation[0] for frame in self._candidates)
             self._level.settle(min([baseline.force, self._unseen[0], *levels]))
@@ -391,11 +390,13 @@ class Detector:
             self._unloaded = baseline
         else:
             self._unloaded = None if self._first_search else earlier
+        if self._first_search:
+            level, high = (baseline.force, self._stamp_ns(self._held_from)), self._unseen[1:]
+            self._count_unseen(*max(level, high), baseline.force - self._level.load, baseline.threshold)
         return slow if self._level.load else self._end_held() + slow
 
-    def _count_unseen(self, level: float, threshold: float) -> None:
-        """Count the force before the first baseline that was above `level` by more than `threshold` [N]."""
-        _, high, stamp_ns = self._unseen
+    def _count_unseen(self, high: float, stamp_ns: int, level: float, threshold: float) -> None:
+        """Count a force up to `high`, before or in the first baseline, if it is a `threshold` above `level` [N]."""
         if high - level > threshold:
             self.left_out.add(NO_BASELINE, high - level, stamp_ns)
 
@@ -579,7 +580,8 @@ class Detector:
         elif buffer.end > self._held_from:
             impacts += self._discard(buffer.end)
             if self._first_search:
-                self._count_unseen(self._unseen[0], self._settings.threshold)
+                low, high, high_ns = self._unseen
+                self._count_unseen(high, high_ns, low, self._settings.threshold)
         impacts += self._end_held()
         self._end_slow()
         return impacts

@@ -110,6 +110,18 @@ def test_a_single_sample_after_a_step_of_the_zero_is_counted(detect: Detect, rat
 
 
 @rates
+@pytest.mark.parametrize("start", [0.06, 0.11])
+@pytest.mark.parametrize("end", [0.9, 4.0, 9.0])
+def test_a_load_that_comes_before_any_baseline_is_counted(
+    detect: Detect, rate: float, start: float, end: float
+) -> None:
+    time = time_axis(8.0, rate)
+    impacts, detector = detect(noise(time) + 100.0 * ((time >= start) & (time < end)), rate)
+    assert impacts == []
+    assert peaks_by_reason(detector) == pytest.approx({NO_BASELINE: 100.0}, abs=0.5)
+
+
+@rates
 def test_presses_are_found_also_after_short_pauses(detect: Detect, rate: float) -> None:
     time = time_axis(20.0, rate)
     starts = 2.0 + 2.1 * np.arange(8)
