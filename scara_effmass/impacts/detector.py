@@ -522,7 +522,7 @@ class Detector:
             self._extend_contact(self._slow, first, self._processed)
             if change < RELEASE * self._settings.threshold:
                 self._end_slow()
-        elif change > self._settings.threshold:
+        elif change > self._settings.threshold and self._held is None:  # that of a contact is in its held force
             self._slow = self._slow_change(first, change)
         elif not self._level.load and change <= REST_SHARE * self._settings.threshold:
             self._unloaded = self._baseline

@@ -122,6 +122,16 @@ def test_a_load_that_comes_before_any_baseline_is_counted(
 
 
 @rates
+def test_a_slow_press_on_the_load_of_a_contact_is_in_its_held_force(detect: Detect, rate: float) -> None:
+    """It is no contact of its own, which would come before the other one though it began later."""
+    time = time_axis(20.0, rate)
+    force = noise(time) + 50.0 * (time >= 3.0) + press(time, 4.0, 60.0, 3.5, 0.0, 0.05)
+    (impact,), detector = detect(force, rate)
+    assert (impact.onset_sample / rate, impact.held_force) == pytest.approx((3.0, 110.0), abs=0.5)
+    assert list(detector.left_out) == []
+
+
+@rates
 def test_presses_are_found_also_after_short_pauses(detect: Detect, rate: float) -> None:
     time = time_axis(20.0, rate)
     starts = 2.0 + 2.1 * np.arange(8)
