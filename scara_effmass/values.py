@@ -319,12 +319,16 @@ class Impact(NamedTuple):
 
 
 class LeftOut(NamedTuple):
-    """Force above the threshold that is in no impact, by `reason`: how often, the largest one [N], and its time."""
+    """Force above the threshold that is in no impact, by `reason`: how often, the largest one [N], and its time.
+
+    `peak_force` includes the `load_force` of an earlier contact.
+    """
 
     reason: str
     occurrences: int
     peak_force: float
     stamp_ns: int
+    load_force: float = 0.0
 
 
 class Prediction(NamedTuple):

@@ -124,8 +124,8 @@ def summary_lines(validation: Validation) -> Iterator[tuple[str, str]]:
     for subject, counts in (("excluded", result.excluded), ("not paired", result.unpaired)):
         for reason in counts:
             refused = [impact for impact in result.refused if impact.reason == reason]
-            largest = max(refused, key=lambda impact: impact.peak_force)
-            yield subject, left_out_text(LeftOut(reason, len(refused), largest.peak_force, largest.stamp_ns))
+            largest = max(max(impact.total_peak, impact.total_held) for impact in refused)
+            yield subject, left_out_text(LeftOut(reason, len(refused), largest, 0))
     yield from (("no impact", left_out_text(item)) for part in validation.recordings for item in part.left_out)
     yield from (("not read", loss) for part in validation.recordings for loss in part.losses)
 

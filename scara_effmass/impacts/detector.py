@@ -267,6 +267,12 @@ class Detector:
         includes_load = self._level.load > 0.0 or self._slow is not None
         return self._unloaded if includes_load and self._unloaded is not None else self._baseline
 
+    @property
+    def _load(self) -> float:
+        """Load in the baseline [N]: that of an earlier contact, and a slow change, which may be a press."""
+        load = self._baseline.force - self._level.zero
+        return load if load > self._settings.threshold else 0.0
+
     def _find_release(self, frame: Frame, zero: Baseline, earliest: int) -> int | None:
         """Return the sample from `earliest` on since which the force is at `zero`; None if it is not in `frame`."""
         if frame.low > zero.force + QUIET_LEVEL * zero.threshold:
@@ -307,7 +313,7 @@ class Detector:
         for index, force in contact.extend(self._buffer.samples(start, stop), start):
             if index < self._held_from:
                 self.glitches += 1
-                self.left_out.add(SINGLE_SAMPLE, force, self._stamp_ns(index))
+                self._leave_out(SINGLE_SAMPLE, force, self._stamp_ns(index), load=contact.impact.load_force)
 
     def _unload(self, release: int) -> list[Impact]:
         """Continue at sample `release` without the load; return the contact that left it."""
@@ -510,7 +516,7 @@ class Detector:
             zero = self._level.zero + self._level.load
             level = min(level, frame.median_and_deviation[0], key=lambda middle: abs(middle - zero))
             if frame.high - max(level, zero) > self._settings.threshold:
-                self.left_out.add(IN_NOISE, frame.high - zero, self._stamp_ns(first), 0)
+                self._leave_out(IN_NOISE, frame.high - zero, self._stamp_ns(first), 0, self._level.load)
         change = self._level.follow(level, self._frame_size / self._rate)
         if self._held is not None:
             self._extend_contact(self._held, first, self._processed)
@@ -533,7 +539,7 @@ class Detector:
         block, level = self._buffer.block_at(first), self._level.zero + self._level.load
         rebound, end = self._rebound, self._end
         press = DetectedContact(0, 0, 0.0, 0.0, change, 0.0, 0.0, complete=True)
-        impact = self._impact(press, first)._replace(baseline=level - block.tare)
+        impact = self._impact(press, first)._replace(baseline=level - block.tare, load_force=self._level.load)
         self._rebound, self._end = rebound, end
         return HeldContact(impact, level, self._settings.threshold, block.sample_rate)
 
@@ -547,7 +553,7 @@ class Detector:
             return []
         if at_once and slow.impact.onset_sample > self._last:
             return [slow.impact]
-        self.left_out.add(SLOW_CHANGE, slow.largest, slow.impact.stamp_ns)
+        self._leave_out(SLOW_CHANGE, slow.largest, slow.impact.stamp_ns, load=slow.impact.load_force)
         return []
 
     def _split(self, start: int) -> list[Impact]:
@@ -612,9 +618,14 @@ class Detector:
             new = [item for item in segment.remainders if item.reason == reason and start + item.first >= self._counted]
             for number, remainder in enumerate(new):
                 is_event = number == 0 or reason != NOISE  # ringing is one event
-                self.left_out.add(reason, remainder.peak, self._stamp_ns(start + remainder.first), is_event)
+                self._leave_out(reason, remainder.peak, self._stamp_ns(start + remainder.first), is_event)
         self._counted = stop
         return segment.contacts
+
+    def _leave_out(self, reason: str, peak: float, stamp_ns: int, count: int = 1, load: float | None = None) -> None:
+        """Count force with its `peak` on a `load` [N], by default the present one."""
+        load = self._load if load is None else load
+        self.left_out.add(reason, peak + load, stamp_ns, count, load)
 
     def _count_tension(self, segment: Segment, start: int) -> None:
         """Count the tensile pulses of the segment that starts at sample `start`, which answer no contact."""
@@ -655,7 +666,7 @@ class Detector:
 
     def _count_later_load(self, contact: DetectedContact, start: int) -> None:
         peak = max(contact.peak, contact.held)
-        self.left_out.add(LATER_LOAD, peak, self._stamp_ns(start + contact.first), not self._later_load)
+        self._leave_out(LATER_LOAD, peak, self._stamp_ns(start + contact.first), not self._later_load)
         self._later_load = True
 
     def _hold(self, contact: DetectedContact, start: int) -> None:
@@ -690,5 +701,5 @@ class Detector:
             source=block.source,
             simulated=block.simulated,
             held_force=contact.held,
-            load_force=self._level.load,
+            load_force=self._load,
         )

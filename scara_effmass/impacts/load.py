@@ -33,11 +33,11 @@ class LeftOuts:
     def __init__(self) -> None:
         self._by_reason: dict[str, LeftOut] = {}
 
-    def add(self, reason: str, peak: float, stamp_ns: int, count: int = 1) -> None:
-        """Count an event with its `peak` [N]; a `count` of 0 continues the latest event of this reason."""
+    def add(self, reason: str, peak: float, stamp_ns: int, count: int = 1, load: float = 0.0) -> None:
+        """Count an event with its `peak` and the `load` in it [N]; a `count` of 0 continues the latest one."""
         known = self._by_reason.get(reason, LeftOut(reason, 0, -math.inf, 0))
         if peak > known.peak_force:
-            known = known._replace(peak_force=peak, stamp_ns=stamp_ns)
+            known = known._replace(peak_force=peak, stamp_ns=stamp_ns, load_force=load)
         self._by_reason[reason] = known._replace(occurrences=max(known.occurrences + count, 1))
 
     def __iter__(self) -> Iterator[LeftOut]:

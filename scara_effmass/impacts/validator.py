@@ -398,8 +398,8 @@ class Validator:
             if impact.reason not in {PRESS, REBOUND, DUPLICATE}:
                 forces[-1] = max(forces[-1], converted(impact.peak_force, impact.load_force), key=_share)
         for item in self.left_out:
-            is_load = item.reason in LOADS
-            forces.append(static_force(self._held_limits, item.peak_force) if is_load else converted(item.peak_force))
+            strike = converted(item.peak_force - item.load_force, item.load_force)
+            forces.append(static_force(self._held_limits, item.peak_force) if item.reason in LOADS else strike)
         return _compared([force for force in forces if force.force > 0.0])
 
     @property

@@ -15,9 +15,11 @@ from scara_effmass.analysis.validation import Validation, ValidationSettings, va
 from scara_effmass.analysis.validation_report import FILES, record, summary_lines, write_report
 from scara_effmass.errors import OutputError
 from scara_effmass.impacts.agreement import RegionForce
+from scara_effmass.impacts.impact_matcher import PRESS
 from scara_effmass.impacts.validator import ComparedForces
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import ValidatorSettings
+from scara_effmass.values import RefusedImpact
 
 
 class Altered(Protocol):
@@ -236,6 +238,15 @@ def test_held_forces_are_larger_than_measured_with_ac_coupling(
     assert "held forces are larger than measured" in dict(summary_lines(changed))["held"]
     texts = texts_of(written(changed, dynamics, tmp_path / "report"))
     assert any("held forces are larger than measured" in text for text in texts)
+
+
+def test_a_refused_contact_is_listed_with_its_load_and_what_stayed(validation: Validation) -> None:
+    presses = [
+        RefusedImpact(1, 60.0, excluded=True, reason=PRESS, detail="", held_force=90.0, load_force=20.0),
+        RefusedImpact(2, 70.0, excluded=True, reason=PRESS, detail="", held_force=10.0, load_force=10.0),
+    ]
+    changed = validation._replace(result=validation.result._replace(refused=tuple(presses), excluded={PRESS: 2}))
+    assert dict(summary_lines(changed))["excluded"] == f"2: {PRESS} (up to 90.0 N)"
 
 
 @pytest.mark.parametrize(

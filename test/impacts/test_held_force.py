@@ -106,7 +106,7 @@ def test_a_single_sample_after_a_step_of_the_zero_is_counted(detect: Detect, rat
     force[round(3.5 * rate)] += 300.0
     (impact,), detector = detect(force, rate)
     assert (impact.peak_force, impact.held_force) == pytest.approx((5.4, 5.4), abs=0.3)
-    assert peaks_by_reason(detector) == pytest.approx({SINGLE_SAMPLE: 300.0}, abs=0.5)
+    assert peaks_by_reason(detector) == pytest.approx({SINGLE_SAMPLE: 305.2}, abs=0.5)
 
 
 @rates
@@ -119,6 +119,30 @@ def test_a_load_that_comes_before_any_baseline_is_counted(
     impacts, detector = detect(noise(time) + 100.0 * ((time >= start) & (time < end)), rate)
     assert impacts == []
     assert peaks_by_reason(detector) == pytest.approx({NO_BASELINE: 100.0}, abs=0.5)
+
+
+@rates
+@pytest.mark.parametrize("later", [2.0, 6.0])  # before and after the contact is reported
+def test_what_is_left_out_on_a_load_counts_with_the_load(detect: Detect, rate: float, later: float) -> None:
+    time = time_axis(10.0, rate)
+    force = noise(time) + 100.0 * (time >= 2.0)
+    force[round((2.0 + later) * rate)] += 60.0
+    (impact,), detector = detect(force, rate)
+    assert (impact.peak_force, impact.held_force) == pytest.approx((100.0, 100.0), abs=0.6)
+    assert [item.reason for item in detector.left_out] == [SINGLE_SAMPLE]
+    (item,) = detector.left_out
+    assert (item.peak_force, item.load_force) == pytest.approx((160.0, 100.0), abs=1.0)
+
+
+@rates
+@pytest.mark.parametrize("rise", [4.0, 8.0])
+def test_an_impact_on_a_slow_press_states_the_press_as_its_load(detect: Detect, rate: float, rise: float) -> None:
+    time = time_axis(20.0, rate)
+    force = noise(time) + press(time, 2.0, 60.0, rise, 8.0, 4.0)
+    force += 150.0 * np.sin(np.pi * np.clip((time - rise - 4.0) / 0.03, 0.0, 1.0))
+    (impact,), detector = detect(force, rate)
+    assert (impact.peak_force, impact.load_force) == pytest.approx((150.0, 60.0), abs=3.0)
+    assert peaks_by_reason(detector)[SLOW_CHANGE] == pytest.approx(60.0, abs=3.0)
 
 
 @rates

@@ -180,3 +180,9 @@ def test_force_in_no_impact_is_compared(campaign: Cell, reason: str, peak: float
     _, result = validated(campaign, same, left_out=(LeftOut(reason, 1, peak, 0),))
     assert (result.left_out.contacts, result.left_out.exceedances, result.unmeasured) == (1, above, unmeasured)
     assert result.within_limits == (not result.exceedances and not unmeasured)
+
+
+def test_the_load_in_a_force_in_no_impact_is_not_converted(campaign: Cell) -> None:
+    _, result = validated(campaign, same, left_out=(LeftOut(NOISE, 1, 17.0, 0, load_force=7.0),))
+    worst = max(impact.region_force / impact.measured_force for impact in result.impacts)
+    assert result.left_out.worst.force == pytest.approx(10.0 * worst + 7.0)
