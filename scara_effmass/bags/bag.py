@@ -42,6 +42,8 @@ from scara_effmass.wire.run_info import decode_run_info
 
 MAX_OVERLAP = 0.25
 """Share of a block by which the next one may begin earlier, as the fit of the clock moves the stamps."""
+MAX_STAMP_STEP_S = 0.05
+"""Largest time by which the stamp of a force block may differ from that of the block before and its samples [s]."""
 USUAL = {
     JOINT_STATE: "joint_states",
     FORCE_BLOCK: "force",
@@ -222,9 +224,16 @@ class Bag(ABC):
     def _of_one_publisher(
         self, topic: str, blocks: Iterable[tuple[int, ForceBlock]]
     ) -> Iterator[tuple[int, ForceBlock]]:
-        """Yield `blocks`. Raises BagError if two of them overlap in time."""
+        """Yield `blocks`; stamps that step beside the sample numbers are losses.
+
+        Raises BagError if two of them overlap in time.
+        """
         before: ForceBlock | None = None
+        add_loss = self._losses.counter()
         for log_time_ns, block in blocks:
+            if before is not None and abs(_stamp_step(before, block)) > MAX_STAMP_STEP_S:
+                rest = "samples are missing or out of order, or a clock was set"
+                add_loss(f"{self.path}: {topic}: the stamps of blocks do not follow the sample numbers: {rest}")
             if before is not None and _overlap(before, block):
                 problem = f"blocks at {block.stamp_ns / NS:.3f} s overlap in time; must be of one publisher"
                 raise BagError(f"{self.path}: {topic}: {problem}")
@@ -257,6 +266,17 @@ def _overlap(before: ForceBlock, block: ForceBlock) -> bool:
     end_ns = min(before.stamp_ns + lengths_ns[0], block.stamp_ns + lengths_ns[1])
     is_next = block.first_sample == before.first_sample + len(before.force)
     return not is_next and end_ns - begin_ns > MAX_OVERLAP * min(lengths_ns)
+
+
+def _stamp_step(before: ForceBlock, block: ForceBlock) -> float:
+    """Return the time [s] from `before` to `block` by their stamps, beyond that by their samples.
+
+    It is 0 where the sample numbers restart, and beside a block without samples.
+    """
+    if block.first_sample < before.first_sample or not (before.force.size and block.force.size):
+        return 0.0
+    samples = max(block.first_sample - before.first_sample, before.force.size + block.lost_samples)
+    return (block.stamp_ns - before.stamp_ns) / NS - samples / before.sample_rate
 
 
 def inflate_stored(path: Path, data: bytes, losses: LossLog) -> bytes:

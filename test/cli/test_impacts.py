@@ -147,6 +147,27 @@ def test_time_without_samples_is_lost_where_their_numbers_restart(cli: Cli, tmp_
     assert (recording["lost_samples"], recording["complete"]) == (3000, False)
 
 
+@pytest.mark.parametrize(
+    ("stamps_s", "rate", "problems"),
+    [
+        ((0.0, 0.98, 2.02, 3.02), 1000.0, 0),  # the fit of the clock moves the stamps
+        ((0.0, 1.0, 2.1, 3.1), 1000.0, 1),  # 0.1 s is missing, or the clock was set
+        ((5.0, 6.0, 2.0, 3.0), 1000.0, 1),
+        ((0.0, 1.0, 2.0, 3.0), 500.0, 1),
+    ],
+)
+def test_stamps_that_do_not_follow_the_samples_are_said(
+    cli: Cli, tmp_path: Path, stamps_s: tuple[float, ...], rate: float, problems: int
+) -> None:
+    with BagWriter(tmp_path / "steps") as writer:
+        for number, stamp_s in enumerate(stamps_s):
+            block = ForceBlock(10**18 + round(stamp_s * 1e9), "cell", 1000 * number, rate, np.zeros(1000))
+            writer.write("/force", FORCE_BLOCK, 10**18 + number * 10**9, force_block_message(block))
+    (recording,) = json.loads(cli("impacts", tmp_path / "steps", "--json").stdout)["recordings"]
+    assert [text.count("do not follow the sample numbers") for text in recording["problems"]] == [1] * problems
+    assert recording["complete"] == (not problems)
+
+
 def test_every_force_topic_is_listed(cli: Cli, tmp_path: Path) -> None:
     with open_bag(BAGS / "campaign" / "300_-200_2390g_1") as bag, BagWriter(tmp_path / "two") as writer:
         for message in bag.messages(["/force"]):
