@@ -62,6 +62,7 @@ UNITS = {
     "clock_offset": "s",
     "stamp_ns": "ns, ROS time",
 }
+NOT_CONVERTED = "as measured, because no impact could be paired with the robot"
 NO_FORCE = "no force to compare"
 NO_IMPACT = "no impact could be paired with the robot"
 MARKERS = "os^Dv<>pX*"
@@ -156,9 +157,14 @@ def clock_text(result: Result) -> str:
 
 
 def worst_impact(result: Result) -> ValidatedImpact | None:
-    """Return the impact with the largest force on a body region relative to its limit."""
+    """Return the impact with the largest force on a body region relative to its limit.
+
+    None: a contact that was left out of the series has a larger one.
+    """
+    other = result.left_out.worst
     ratios = [impact.region_force / (impact.limit_force or math.inf) for impact in result.impacts]
-    return result.impacts[ratios.index(max(ratios))] if ratios else None
+    is_in_series = ratios and max(ratios) >= other.force / (other.limit or math.inf)
+    return result.impacts[ratios.index(max(ratios))] if is_in_series else None
 
 
 def limit_text(result: Result) -> str:
@@ -167,8 +173,8 @@ def limit_text(result: Result) -> str:
     count = len(result.impacts) + others.contacts
     if not count:
         return NO_FORCE
-    if worst is None or others.exceedances:
-        force, origin = others.worst, "left out of the series"
+    if worst is None:
+        force, origin = others.worst, "left out of the series" if result.impacts else NOT_CONVERTED
     else:
         force = RegionForce(worst.body_region, worst.region_force, worst.limit_force, "")
         origin = f"converted from a measured peak of {worst.measured_force:.0f} N"

@@ -240,6 +240,20 @@ def test_held_forces_are_larger_than_measured_with_ac_coupling(
     assert any("held forces are larger than measured" in text for text in texts)
 
 
+@pytest.mark.parametrize("is_paired", [True, False])
+def test_the_largest_force_may_be_one_left_out_that_is_below_its_limit(
+    validation: Validation, dynamics: RobotDynamics, tmp_path: Path, *, is_paired: bool
+) -> None:
+    others = ComparedForces(1, 0, RegionForce("lower_leg", 259.0, 260.0, ""))
+    changes: dict[str, Any] = {"left_out": others} | ({} if is_paired else {"impacts": ()})
+    changed = Validation(validation.result._replace(**changes), validation.recordings if is_paired else ())
+    origin = "left out of the series" if is_paired else "as measured, because no impact could be paired with the robot"
+    assert f"largest 259 N of 260 N (lower_leg), {origin}" in dict(summary_lines(changed))["limit"]
+    texts = texts_of(written(changed, dynamics, tmp_path / "report"))
+    assert any("largest 259 N of 260 N" in text for text in texts)
+    assert any("Forces are as measured" in text for text in texts) == (not is_paired)
+
+
 def test_a_refused_contact_is_listed_with_its_load_and_what_stayed(validation: Validation) -> None:
     presses = [
         RefusedImpact(1, 60.0, excluded=True, reason=PRESS, detail="", held_force=90.0, load_force=20.0),
