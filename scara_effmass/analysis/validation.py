@@ -224,7 +224,8 @@ def validate_recording(
             validator.add_impact(impact, force_ns)
         recording.dropouts, recording.glitches = detector.dropouts, detector.glitches
         recording.sustained_contacts = detector.sustained_contacts
-        recording.left_out = validator.left_out = tuple(detector.left_out)
+        validator.leave_out(detector.left_out)
+        recording.left_out = validator.left_out
         losses.extend(bag.losses)
         recording.losses = tuple(losses)
     validator.begin_recording()

@@ -53,6 +53,11 @@ class Run(NamedTuple):
         """Component of the normal along the axis of the sensor, that is, measured force / force along the normal."""
         return abs(dot(self.normal, self.guide)) if self.normal and self.guide else 1.0
 
+    @property
+    def usable_share(self) -> float:
+        """The force share; 1 if the guide lies in the plate."""
+        return self.force_share if self.force_share >= MIN_NORMAL_COMPONENT else 1.0
+
 
 def check_run_info(info: RunInfo) -> None:
     """Raise SettingsError for an invalid stamp, configuration, obstacle mass, or direction."""
@@ -265,7 +270,6 @@ class ImpactMatcher:
 
     def refuse(self, impact: Impact, rejection: Rejection, speed: float = 0.0, *, excluded: bool = False) -> None:
         """Record an impact that is left out of the series, and its `speed` [m/s] if it is known."""
-        share = self.runs.at(impact.stamp_ns).force_share
         self.refused.append(
             RefusedImpact(
                 stamp_ns=impact.stamp_ns,
@@ -277,7 +281,7 @@ class ImpactMatcher:
                 speed=speed,
                 simulated=impact.simulated,
                 load_force=impact.load_force,
-                force_share=share if share >= MIN_NORMAL_COMPONENT else 1.0,
+                force_share=self.runs.at(impact.stamp_ns).usable_share,
             )
         )
 

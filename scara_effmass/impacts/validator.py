@@ -149,8 +149,7 @@ class Validator:
     """Validate the effective-mass models against measured impacts; the same live and offline.
 
     Decisions and impacts must each arrive in order. Their interleaving does not change the result if an impact
-    arrives within `settings.history` of the states around its onset. `runs` holds the conditions of the impacts. The
-    caller sets `left_out`, the force that its detector found in no impact.
+    arrives within `settings.history` of the states around its onset. `runs` holds the conditions of the impacts.
     """
 
     def __init__(self, settings: ValidatorSettings) -> None:
@@ -168,6 +167,7 @@ class Validator:
         self._contact_point = settings.contact_point
         self._contact_points: set[str] = set()
         self.left_out: tuple[LeftOut, ...] = ()
+        """Force in no impact, along the normals of the plates."""
         self._matches: list[MatchedImpact] = []
         self._earlier = 0  # of them, those of earlier recordings
         self._min_force = self._max_force = self._stated_uncertainty = 0.0
@@ -176,6 +176,14 @@ class Validator:
     def know(self, contact_points: Iterable[str]) -> None:
         """Name contact points whose states may not be added."""
         self._contact_points.update(contact_points)
+
+    def leave_out(self, items: Iterable[LeftOut]) -> None:
+        """Take the force that the detector of the caller found in no impact, in place of that taken before."""
+        shares = ((item, self.runs.at(item.stamp_ns).usable_share) for item in items)
+        self.left_out = tuple(
+            item._replace(peak_force=item.peak_force / share, load_force=item.load_force / share)
+            for item, share in shares
+        )
 
     def add_decision(self, decision: Decision, received_ns: int) -> list[ValidatedImpact]:
         """Add a decision of the monitor that arrived at `received_ns` (0: unknown); return newly validated impacts."""
@@ -385,7 +393,8 @@ class Validator:
 
     def _left_out_forces(self, stiffness: float) -> ComparedForces:
         """Return the contacts that are not in the series, and the force in no impact."""
-        per_newton = max((self._converted(match, stiffness, 1.0) for match in self._matches), key=_share, default=None)
+        along_normal = (self._converted(match, stiffness, match.force_share) for match in self._matches)
+        per_newton = max(along_normal, key=_share, default=None)
 
         def converted(peak: float, load: float = 0.0) -> RegionForce:
             if per_newton is None or not per_newton.limit:
@@ -396,7 +405,8 @@ class Validator:
         for impact in self._matcher.refused:
             forces.append(max(self._as_measured(impact), key=_share))
             if impact.reason not in {PRESS, REBOUND, DUPLICATE}:
-                forces[-1] = max(forces[-1], converted(impact.peak_force, impact.load_force), key=_share)
+                load = impact.load_force / impact.force_share
+                forces[-1] = max(forces[-1], converted(impact.total_peak - load, load), key=_share)
         for item in self.left_out:
             strike = converted(item.peak_force - item.load_force, item.load_force)
             forces.append(static_force(self._held_limits, item.peak_force) if item.reason in LOADS else strike)

@@ -111,7 +111,7 @@ class ValidatorNode(LifecycleBase[NodeSettings]):
         if self.settings.find_impacts:
             for impact in self._detector.feed(block):
                 self._on_impact(impact)
-            self._validator.left_out = tuple(self._detector.left_out)
+            self._validator.leave_out(self._detector.left_out)
 
     def _on_run_info(self, data: bytes) -> None:
         try:

@@ -44,7 +44,7 @@ def validated(
 ) -> tuple[list[ValidatedImpact], Result]:
     """Validate the impacts of `cell` after the `change`; the first one arrives `late_ns` later."""
     validator = Validator(SETTINGS)
-    validator.left_out = left_out
+    validator.leave_out(left_out)
     for since_ns, obstacle_mass, configuration in cell.runs:
         validator.runs.set(since_ns, obstacle_mass=obstacle_mass, configuration=configuration)
     items: list[tuple[int, Any, Any]] = [
@@ -186,3 +186,12 @@ def test_the_load_in_a_force_in_no_impact_is_not_converted(campaign: Cell) -> No
     _, result = validated(campaign, same, left_out=(LeftOut(NOISE, 1, 17.0, 0, load_force=7.0),))
     worst = max(impact.region_force / impact.measured_force for impact in result.impacts)
     assert result.left_out.worst.force == pytest.approx(10.0 * worst + 7.0)
+
+
+@pytest.mark.parametrize("reason", [NOISE, LATER_LOAD])
+def test_force_in_no_impact_on_an_oblique_guide_is_that_along_the_normal(reason: str) -> None:
+    validator = Validator(SETTINGS)
+    run = RunInfo(1, obstacle_mass=2.0, plate_normal=(1.0, 0.0, 0.0), guide_direction=(0.6, 0.8, 0.0))
+    validator.begin_run(run, 1)
+    validator.leave_out([LeftOut(reason, 1, 60.0, 2, load_force=6.0)])
+    assert validator.result().left_out.worst.force == pytest.approx(100.0)
