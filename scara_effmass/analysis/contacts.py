@@ -89,7 +89,7 @@ class RecordedContacts:
             "problems": [*self.losses, *self.doubts],
         }
 
-    def rows(self) -> Iterator[tuple[object, ...]]:
+    def rows(self) -> Iterator[tuple[str, ...]]:
         """Yield time, peak, impulse, duration, held force and remarks of each contact, for a table."""
         for contact in self.contacts:
             remarks = {
@@ -108,6 +108,13 @@ class RecordedContacts:
                 f"{contact.held_force:.1f}" if contact.held_force else "-",
                 ", ".join(text for text, applies in remarks.items() if applies),
             )
+
+    def texts(self) -> Iterator[str]:
+        """Yield the same in one line for each contact."""
+        for time, peak, impulse, duration, held, remarks in self.rows():
+            parts = [f"at {time} s: {peak} N", f"{impulse} N s", f"{duration} ms"]
+            parts += [] if held == "-" else [f"held {held} N"]
+            yield ", ".join([*parts, remarks] if remarks else parts)
 
     def lines(self) -> Iterator[tuple[str, str]]:
         """Yield subject and text of what is no contact."""

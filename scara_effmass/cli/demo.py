@@ -225,8 +225,8 @@ def _run_bag(args: argparse.Namespace, dynamics: RobotDynamics, settings: Monito
             result |= {"watchdog_messages": live.watchdog_messages, "force": force and force.as_dict()}
             result |= {key: live.replayed[key] for key in ("late", "worst_lateness_s", "warnings")}
             if force:
-                texts = (f"at {at} s: {peak} N, {impulse} N s, {ms} ms" for at, peak, impulse, ms, *_ in force.rows())
-                lines += [("force", force.force_text), *(("  impact", text) for text in texts), *force.lines()]
+                contacts = (("  contact", text) for text in force.texts())
+                lines += [("force", force.force_text), *contacts, *force.lines()]
             return [*introduction, *lines, *_bag_lines(live)], {**result, "recording": live.recorded}
 
         # Not the new recording, whose log times are those of the recorder, which may lag behind the monitor.

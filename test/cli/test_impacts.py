@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 from nptdms import ChannelObject, TdmsWriter
 
+from scara_effmass.analysis.contacts import recorded_contacts
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
+from scara_effmass.settings import DetectionSettings, ImportSettings
 from scara_effmass.values import ForceBlock
 from scara_effmass.wire.force import force_block_message
 from scara_effmass.wire.message_types import FORCE_BLOCK, WRENCH_STAMPED
@@ -60,6 +62,15 @@ def test_the_list_has_a_line_for_each_contact_and_for_what_is_left_out(cli: Cli,
     assert re.match(
         r"left out 1: slow change: drift, or a press that comes and goes slowly \(up to (39|40)", left_out[1]
     )
+
+
+def test_a_line_of_a_contact_has_what_stayed_and_remarks(tmp_path: Path) -> None:
+    """As `demo` prints it."""
+    time = np.arange(8000) / 1000.0
+    force = np.random.default_rng(0).normal(0.0, 0.05, time.size) + 60.0 * ((time >= 2.0) & (time < 4.0))
+    file = written(tmp_path / "press.csv", force)
+    (text,) = recorded_contacts(file, ImportSettings(), DetectionSettings()).texts()
+    assert re.fullmatch(r"at 1\.999 s: 60\.\d N, 119\.9\d+ N s, 2001\.0 ms, held 60\.\d N, press", text)
 
 
 def test_a_contact_that_was_measured_for_five_seconds_lasted_at_least_that_long(cli: Cli, tmp_path: Path) -> None:
