@@ -17,6 +17,7 @@ from nicegui import ui
 
 from scara_effmass.cell.status import HISTORY_NS, CellStatus, ImpactRecord, Validation
 from scara_effmass.dashboard.scene import RobotScene
+from scara_effmass.impacts.load import force_text
 from scara_effmass.nodes.cell_client import CellClient
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety.remedies import remedy
@@ -159,9 +160,7 @@ class Page:
         rows = [
             [
                 self._clock(record.at_ns) + " (simulated)" * record.impact.simulated,
-                f"{record.impact.peak_force:.1f} N"
-                + " at least" * (record.impact.clipped or record.impact.incomplete)
-                + f", held {record.impact.held_force:.1f} N" * (record.impact.held_force > 0.0),
+                force_text(record.impact),
                 prediction_text(record),
                 f"{record.validation.relative_error:+.1%}" if record.validation else "",
                 _region_text(record.validation) if record.validation else "",

@@ -50,6 +50,14 @@ def left_out_text(item: LeftOut) -> str:
     return f"{item.occurrences}: {item.reason} (up to {item.peak_force:.1f} N)"
 
 
+def force_text(impact: Impact) -> str:
+    """Return the peak of an impact, the load beneath it, and what stayed."""
+    bound = " at least" if impact.clipped or impact.incomplete else ""
+    load = f" on a load of {impact.load_force:.1f} N" if impact.load_force else ""
+    held = f", held {impact.held_force:.1f} N" if impact.held_force else ""
+    return f"{impact.peak_force:.1f} N{bound}{load}{held}"
+
+
 class HeldContact:
     """A contact whose force stays. It begins as `impact`, which was measured up to some sample; `extend` adds the rest.
 

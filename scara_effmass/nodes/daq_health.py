@@ -9,6 +9,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from scara_effmass.daq.acquisition import Acquisition, AcquisitionState
 from scara_effmass.daq.conditioning import ForceChannel, SignalConditioner
 from scara_effmass.impacts.detector import Detector
+from scara_effmass.impacts.load import force_text
 from scara_effmass.nodes.diagnostics import status
 from scara_effmass.values import Impact
 
@@ -24,11 +25,8 @@ def impact_text(impact: Impact) -> str:
     """Return one line about an impact: peak, duration, impulse, and its flaws."""
     flags = {"clipped": impact.clipped, "incomplete": impact.incomplete}
     wrong = "".join(f", {name}" for name, is_set in flags.items() if is_set)
-    held = f", held {impact.held_force:.1f} N" if impact.held_force else ""
-    load = f" on a load of {impact.load_force:.1f} N" if impact.load_force else ""
     size = f"{1e3 * impact.duration:.2f} ms, {impact.impulse:.3g} N s{wrong}"
-    force = f"peak {impact.peak_force:.1f} N{load}{held}, {size}"
-    return f"{'simulated ' * impact.simulated}impact on {impact.frame_id}: {force}"
+    return f"{'simulated ' * impact.simulated}impact on {impact.frame_id}: peak {force_text(impact)}, {size}"
 
 
 def daq_statuses(

@@ -143,6 +143,10 @@ def test_screen_shows_impact_past_episode_and_simulation() -> None:
     assert "predicted 80.0 N; converted 212.0 N on lower_leg, below its limit of 260.0 N;" in text
     assert "held 150.0 N on lower_leg, ABOVE its limit of 130.0 N" in " ".join(text.split())
     assert "SIMULATED: force" in text
+    loaded = cell.impacts[-1].impact._replace(load_force=60.0, held_force=30.0, clipped=True)
+    cell.take_impact(loaded, 6 * S)
+    text = " ".join(lines(cell, 6 * S, 120, 40))
+    assert "last impact: peak 123.4 N at least on a load of 60.0 N, held 30.0 N, 0 s ago" in text
 
 
 def test_impact_is_shown_with_the_force_on_the_region_that_its_limit_is_for() -> None:
