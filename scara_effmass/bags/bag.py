@@ -22,7 +22,7 @@ from scara_effmass.bags.batches import (
     Topic,
     merged_topics,
 )
-from scara_effmass.bags.compression import inflate_message
+from scara_effmass.bags.compression import ZSTD_MAGIC, inflate_message
 from scara_effmass.bags.definitions import check_definition, types_of
 from scara_effmass.errors import BagError, DecodeError
 from scara_effmass.values import ForceBlock, Impact, RunInfo
@@ -279,12 +279,17 @@ def _stamp_step(before: ForceBlock, block: ForceBlock) -> float:
     return (block.stamp_ns - before.stamp_ns) / NS - samples / before.sample_rate
 
 
-def inflate_stored(path: Path, data: bytes, losses: LossLog) -> bytes:
-    """Return a message that rosbag2 compressed; if it is damaged, add that to `losses` and return no bytes."""
+def inflate_stored(path: Path, data: bytes, add_loss: Callable[[str], None]) -> bytes:
+    """Return a message, decompressed if rosbag2 compressed it; if it is damaged, call `add_loss` and return no bytes.
+
+    The magic number of zstd tells, which no message in CDR begins with: metadata.yaml can be lost or wrong.
+    """
+    if not data.startswith(ZSTD_MAGIC):
+        return data
     try:
         return inflate_message(data)
     except DecodeError as error:
-        losses.add(f"{path}: a compressed message is lost: {error}")
+        add_loss(f"{path}: a compressed message is lost: {error}")
         return b""
 
 

@@ -79,7 +79,10 @@ def inflate_message(data: bytes) -> bytes:
         size = zstandard.frame_content_size(data)
     except zstandard.ZstdError as error:
         raise DecodeError(f"its zstd data is damaged: {error}") from None
-    return inflate(data, "zstd", size if size >= 0 else MAX_CHUNK_BYTES)
+    message = inflate(data, "zstd", size if size >= 0 else MAX_CHUNK_BYTES)
+    if not message or 0 <= size != len(message):
+        raise DecodeError("its zstd data is cut off")
+    return message
 
 
 def inflate_file(path: Path, folder: Path) -> Path:
@@ -108,4 +111,6 @@ def inflate_file(path: Path, folder: Path) -> Path:
         except zstandard.ZstdError as error:
             if not output.tell():
                 raise BagError(f"{path}: its zstd data is damaged: {error}") from None
+        if stated and not output.tell():
+            raise BagError(f"{path}: its zstd data is cut off before anything that can be decompressed")
     return folder / name

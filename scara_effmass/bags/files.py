@@ -135,7 +135,7 @@ def bag_bytes(bag: Path) -> int:
     return sum(path.size() if isinstance(path, Url) else path.stat().st_size for path in paths if path.is_file())
 
 
-def _open_files(bag: Path, paths: Sequence[Path], losses: LossLog, *, are_messages_compressed: bool = False) -> Bag:
+def _open_files(bag: Path, paths: Sequence[Path], losses: LossLog) -> Bag:
     """Open the files of a bag. Compressed ones are decompressed to temporary files, which are deleted at once."""
     with ExitStack() as stack:
 
@@ -164,7 +164,7 @@ def _open_files(bag: Path, paths: Sequence[Path], losses: LossLog, *, are_messag
         magic = formats.pop()
         if formats:
             raise BagError(f"{bag}: has files of several formats: must be of one")
-        return FORMATS[magic](bag, files, losses, are_messages_compressed=are_messages_compressed)
+        return FORMATS[magic](bag, files, losses)
 
 
 def _head(path: Path) -> bytes:
@@ -197,7 +197,7 @@ def _open_folder(folder: Path, losses: LossLog) -> Bag:
                 losses.add(f"{folder / METADATA}: does not name {path.name}; not read")
     if not paths:
         raise BagError("; ".join([f"{folder}: contains no .mcap or .db3 file", *losses]))
-    bag = _open_files(folder, paths, losses, are_messages_compressed=mode == "message")
+    bag = _open_files(folder, paths, losses)
     count = sum(topic.count for topic in bag.topics)
     if metadata.get("message_count", count) != count:
         losses.add(f"{folder / METADATA}: lists {metadata['message_count']} messages, the files contain {count}")
@@ -271,16 +271,9 @@ class RosbagsBag(Bag):
     """A bag of files that are each read by rosbags."""
 
     def __init__(
-        self,
-        path: Path,
-        paths: Sequence[tuple[Path, Path]],
-        losses: LossLog,
-        make_reader: type[Reader],
-        *,
-        are_messages_compressed: bool = False,
+        self, path: Path, paths: Sequence[tuple[Path, Path]], losses: LossLog, make_reader: type[Reader]
     ) -> None:
         """Open the bag as `McapBag` does."""
-        self._are_messages_compressed = are_messages_compressed
         with ExitStack() as stack:
             self._readers = [(file, _open_reader(file, copy, make_reader, stack)) for file, copy in paths]
             self._stack = stack.pop_all()
@@ -325,29 +318,29 @@ class RosbagsBag(Bag):
         connections = [c for c in reader.connections if self._topic_indices.get((c.topic, c.msgtype)) in topics]
         if not connections:
             return
+        add_loss = self._losses.counter()
         try:
             rows: Iterator[tuple[Connection, Any, Any]] = reader.messages(connections, start_ns, stop_ns)
             for connection, log_time_ns, stored in rows:
-                if not isinstance(log_time_ns, int) or not isinstance(stored, bytes):  # SQLite checks no types
-                    self._losses.add(f"{path}: {connection.topic}: left out messages without a time or data")
+                is_stored = isinstance(stored, bytes) and (stored or self._is_ros1)  # SQLite checks no types
+                if not isinstance(log_time_ns, int) or not is_stored:
+                    add_loss(f"{path}: {connection.topic}: left out a message without a time or data")
                     continue
-                data = self._cdr(path, connection, stored)
+                data = self._cdr(path, connection, stored, add_loss)
                 if data:
                     yield log_time_ns, self._topic_indices[connection.topic, connection.msgtype], data
         except Exception as error:  # noqa: BLE001 - rosbags raises many types for a damaged file
             self._losses.add(f"{path}: damaged, the rest is lost: {one_line(error)}")
 
-    def _cdr(self, path: Path, connection: Connection, stored: bytes) -> bytes:
+    def _cdr(self, path: Path, connection: Connection, stored: bytes, add_loss: Callable[[str], None]) -> bytes:
         """Return a message in CDR; empty if it cannot be decompressed, or converted from ROS 1."""
-        if self._are_messages_compressed:
-            return inflate_stored(path, stored, self._losses)
         if not self._is_ros1:
-            return stored
+            return inflate_stored(path, stored, add_loss)
         try:
             return bytes(self.types.ros1_to_cdr(stored, connection.msgtype))
         except Exception as error:  # noqa: BLE001 - code generated from unchecked definitions
             origin = f"{path}: {connection.topic}: {connection.msgtype}"
-            self._losses.add(f"{origin} cannot be converted: {one_line(error)}")
+            add_loss(f"{origin} cannot be converted: {one_line(error)}")
             return b""
 
 

@@ -9,7 +9,7 @@ at the first damaged record.
 
 import struct
 import zlib
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, suppress
 from io import BytesIO
 from pathlib import Path
@@ -41,7 +41,7 @@ from scara_effmass.bags.batches import (
     in_log_time_order,
     leading,
 )
-from scara_effmass.bags.compression import MCAP_COMPRESSIONS, inflate
+from scara_effmass.bags.compression import MCAP_COMPRESSIONS, ZSTD_MAGIC, inflate
 from scara_effmass.errors import BagError, DecodeError
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -407,16 +407,8 @@ class McapFile:
 class McapBag(Bag):
     """A bag of MCAP files."""
 
-    def __init__(
-        self,
-        path: Path,
-        paths: Sequence[tuple[Path, Path]],
-        losses: LossLog,
-        *,
-        are_messages_compressed: bool = False,
-    ) -> None:
+    def __init__(self, path: Path, paths: Sequence[tuple[Path, Path]], losses: LossLog) -> None:
         """Open the bag at `path`: `paths` are its files, each with its uncompressed copy, or the same path twice."""
-        self._are_messages_compressed = are_messages_compressed
         with ExitStack() as stack:
             files = [stack.enter_context(closing(McapFile(file, losses, copy))) for file, copy in paths]
             super().__init__(path, [topic for file in files for topic in file.stored_topics()], losses)
@@ -438,20 +430,24 @@ class McapBag(Bag):
         horizons_ns = [*[chunk.message_start_time for chunk, _ in chunks], stop_ns][1:]
         is_wanted = np.zeros(len(self.topics) + 1, np.bool_)  # the last entry is for index -1, channels without a topic
         is_wanted[[*topics]] = True
+        add_loss = self._losses.counter()
 
         def read() -> Iterator[tuple[MessageBatch, int]]:
             for (chunk, file), horizon_ns in zip(chunks, horizons_ns, strict=True):
                 batch = file.read(chunk)
                 inside = (batch.log_time_ns >= start_ns) & (batch.log_time_ns < stop_ns) & is_wanted[batch.topic]
                 selected = batch if inside.all() else batch.select(inside)
-                yield self._inflated(selected) if self._are_messages_compressed else selected, horizon_ns
+                yield self._inflated(selected, add_loss), horizon_ns
 
         return in_log_time_order(read())
 
-    def _inflated(self, batch: MessageBatch) -> MessageBatch:
-        """Return the batch with its messages decompressed; those that are damaged are left out."""
+    def _inflated(self, batch: MessageBatch, add_loss: Callable[[str], None]) -> MessageBatch:
+        """Return the batch with compressed messages decompressed; those that are damaged are left out."""
+        starts = batch.start[batch.start < batch.stop]
+        if not np.any(np.frombuffer(batch.data, np.uint8)[starts] == ZSTD_MAGIC[0]):
+            return batch
         messages = [
-            inflate_stored(self.path, batch.data[start:stop], self._losses)
+            inflate_stored(self.path, batch.data[start:stop], add_loss)
             for start, stop in zip(batch.start.tolist(), batch.stop.tolist(), strict=True)
         ]
         sound = [i for i, message in enumerate(messages) if message]

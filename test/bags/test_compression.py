@@ -91,6 +91,38 @@ def test_compressed_file_alone(tmp_path: Path, storage: StoragePlugin, suffix: s
     assert find_bags(tmp_path) == [alone]
 
 
+@pytest.mark.parametrize("metadata", ["", "compression_format: zstd\n  compression_mode: message\n"])
+@pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def test_messages_are_decompressed_whatever_the_metadata_say(
+    tmp_path: Path, storage: StoragePlugin, metadata: str
+) -> None:
+    messages = [m._replace(data=COMPRESS["zstd"](m.data)) if i % 2 else m for i, m in enumerate(MIXED)]
+    folder = write_rosbag2(tmp_path / "bag", messages, storage)
+    (folder / "metadata.yaml").write_text(metadata and f"rosbag2_bagfile_information:\n  {metadata}")
+    with open_bag(folder) as bag:
+        assert [message.data for message in bag.messages()] == [message.data for message in MIXED]
+
+
+@pytest.mark.parametrize("damage", [b"", bytes(5), b"\xff" * 20])
+@pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def test_damaged_compressed_messages_are_counted(tmp_path: Path, storage: StoragePlugin, damage: bytes) -> None:
+    damaged = [message._replace(data=b"\x28\xb5\x2f\xfd" + damage) for message in MIXED[:3]]
+    with open_bag(write_rosbag2(tmp_path / "bag", [*damaged, *MIXED[3:]], storage)) as bag:
+        for _ in range(2):
+            assert len(list(bag.messages())) == len(MIXED) - 3
+        (loss,) = bag.losses
+    assert "a compressed message is lost" in loss
+    assert loss.endswith("(3 times)")
+
+
+def test_compressed_file_without_a_whole_block_is_cut_off(tmp_path: Path) -> None:
+    plain = write_mcap(tmp_path / "a.mcap", MIXED).read_bytes()[:100_000]
+    path = tmp_path / "b.mcap.zstd"
+    path.write_bytes(COMPRESS["zstd"](plain)[:1000])
+    with pytest.raises(BagError, match="is cut off before anything that can be decompressed"):
+        open_bag(path)
+
+
 def test_loss_in_a_compressed_file_names_that_file(tmp_path: Path) -> None:
     plain = write_mcap(tmp_path / "a.mcap", MIXED).read_bytes()
     path = tmp_path / "b.mcap.zstd"

@@ -487,8 +487,8 @@ class TestUnreadableInput:
         assert messages == []
         assert "cannot be read" in warnings
 
-    @pytest.mark.parametrize("data", [None, "text", 7])
-    def test_sqlite_message_without_data_is_left_out(self, tmp_path: Path, data: str | int | None) -> None:
+    @pytest.mark.parametrize("data", [None, "text", 7, b""])
+    def test_sqlite_message_without_data_is_left_out(self, tmp_path: Path, data: str | bytes | int | None) -> None:
         path = single_db3(tmp_path, MIXED)
         with closing(sqlite3.connect(path)) as database:
             (definition,) = database.execute("SELECT sql FROM sqlite_master WHERE name = 'messages'").fetchone()
@@ -499,7 +499,7 @@ class TestUnreadableInput:
             database.commit()
         with open_bag(path) as bag:
             assert len(list(bag.messages())) == len(MIXED) - 1
-            assert any("left out messages without a time or data" in loss for loss in bag.losses)
+            assert any("left out a message without a time or data" in loss for loss in bag.losses)
 
     def test_damaged_sqlite_is_refused(self, tmp_path: Path) -> None:
         path = single_db3(tmp_path, MIXED)
