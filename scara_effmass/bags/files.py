@@ -215,7 +215,8 @@ def missing_files(folder: Path, present: Sequence[Path], named: Sequence[Path]) 
     for path in named:
         if path not in present:
             yield f"{folder / METADATA}: names {path.name}, which does not exist"
-    splits = {_split_name(path) for path in (*present, *named)}
+    whole = f"{folder.resolve().name}."  # rosbags gives the only file the name of its folder, which can end in a number
+    splits = {_split_name(path) for path in (*present, *named) if not path.name.startswith(whole)}
     last = max((number for _, number in splits), default=0)
     if len({name for name, _ in splits}) == 1 and len(splits) <= last:
         yield f"{folder}: files before number {last} that do not exist: {last + 1 - len(splits)}"

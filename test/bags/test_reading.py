@@ -677,6 +677,10 @@ class TestFolder:
         with pytest.raises(BagError, match=r"r\.mcap: does not exist"):
             open_bag(names[-1])
 
+    def test_number_in_the_name_of_a_bag_is_not_that_of_a_file(self, tmp_path: Path) -> None:
+        with open_bag(write_rosbag2(tmp_path / "run_6", MIXED, StoragePlugin.MCAP)) as bag:
+            assert not list(bag.losses)
+
     def test_bag_inside_of_a_bag_is_named(self, folder: Path) -> None:
         write_mcap(folder / "walk.mcap", MIXED)
         (folder / "old").mkdir()
