@@ -39,6 +39,7 @@ from scara_effmass.wire.message_types import (
     WRENCH_STAMPED,
 )
 from scara_effmass.wire.run_info import decode_run_info
+from scara_effmass.wire.topics import JOINT_COMMANDS
 
 MAX_OVERLAP = 0.25
 """Share of a block by which the next one may begin earlier, as the fit of the clock moves the stamps."""
@@ -128,8 +129,8 @@ class Bag(ABC):
     def find_topic(self, name: str, types: Sequence[str], setting: str = "topic", remedy: str = "") -> Topic:
         """Return the topic `name`, with or without a leading slash; if empty, the only one of the first of `types`.
 
-        Of several of that type, the one with the USUAL name is taken. Topics without messages do not count. Raises
-        BagError, which names the `setting` and the choice, or `remedy`.
+        Of several of that type, the one with the USUAL name is taken, and commands only by their name. Topics without
+        messages do not count. Raises BagError, which names the `setting` and the choice, or `remedy`.
         """
         topics = [topic for kind in types for topic in self.topics if topic.type == kind and topic.count]
         if not topics:
@@ -137,7 +138,8 @@ class Bag(ABC):
         if name:
             candidates = [topic for topic in topics if topic.name.lstrip("/") == name.lstrip("/")]
         else:
-            candidates = [topic for topic in topics if topic.type == topics[0].type]
+            measured = (topic for topic in topics if not topic.name.endswith(JOINT_COMMANDS))
+            candidates = [topic for topic in measured if topic.type == topics[0].type]
             usual = USUAL.get(topics[0].type)
             candidates = [topic for topic in candidates if topic.name.lstrip("/") == usual] or candidates
         if len(candidates) != 1:

@@ -213,6 +213,18 @@ def test_several_topics_of_joint_states_require_a_topic_unless_one_has_the_usual
         assert sum(len(block.stamp_ns) for block in bag.joint_state_blocks()) == 1
 
 
+def test_joint_commands_are_no_joint_states_unless_the_topic_says_so(tmp_path: Path) -> None:
+    commands, states = (
+        joint_state(number)._replace(topic=f"/arm/{name}") for number, name in enumerate(("joint_commands", "js"))
+    )
+    with open_bag(write_mcap(tmp_path / "commands.mcap", [commands])) as bag:
+        with pytest.raises(BagError, match=r"topic is empty: must be one of /arm/joint_commands "):
+            bag.joint_state_blocks()
+        assert_states(bag, [commands], "/arm/joint_commands")
+    with open_bag(write_mcap(tmp_path / "both.mcap", [commands, states])) as bag:
+        assert_states(bag, [states])
+
+
 def test_bag_without_joint_states_is_refused(tmp_path: Path) -> None:
     with (
         open_bag(write_mcap(tmp_path / "a.mcap", [text(0)])) as bag,
