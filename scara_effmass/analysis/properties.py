@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pyarrow import csv, parquet
 
+from scara_effmass.analysis.tables import SCHEMA
 from scara_effmass.bags.bag import Bag
 from scara_effmass.bags.batches import IntArray
 from scara_effmass.bags.files import open_bag
@@ -120,9 +121,9 @@ def _rows(path: Path) -> Iterator[tuple[str, Columns]]:
     else:
         with path.open(encoding="utf-8") as file:
             comments = next(number for number, line in enumerate(file) if not line.startswith("#"))
-        batches = csv.open_csv(
-            path, csv.ReadOptions(skip_rows=comments), convert_options=csv.ConvertOptions(include_columns=names)
-        )
+        # Inferred types are those of the first block: reasons that are all empty there would be no texts.
+        types = csv.ConvertOptions(include_columns=names, column_types=SCHEMA)
+        batches = csv.open_csv(path, csv.ReadOptions(skip_rows=comments), convert_options=types)
     for batch in batches:
         columns = {name: np.asarray(batch.column(name).to_pylist(), dtype=object) for name in names}
         for bag in dict.fromkeys(columns["bag"]):

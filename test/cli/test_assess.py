@@ -554,6 +554,16 @@ def test_verdicts_of_the_shipped_bags_have_all_properties(suffix: str, tmp_path:
     assert {check["evaluated"] for check in checks} == {6 * 7625}
 
 
+def test_properties_of_a_csv_file_whose_verdicts_are_all_ok(tmp_path: Path, cli: Cli) -> None:
+    state = next(swing(2))
+    with BagWriter(tmp_path / "slow.mcap") as bag:
+        bag.write_joint_states("/joint_states", [state._replace(velocity=np.full(4, 0.01))])
+    done = cli("assess", "slow.mcap", "-o", "a.csv", "--properties", "--json", "--payload", "0", "--drives", "free")
+    result = json.loads(done.stdout)
+    assert result["cycles_by_verdict"]["OK"] == 1
+    assert (done.returncode, {check["violations"] for check in result["properties"]}) == (0, {0})
+
+
 def test_recorded_verdicts_that_violate_a_property_give_exit_code_1(swing_bag: Path, tmp_path: Path, cli: Cli) -> None:
     encoder = ContactStatesEncoder("base_link")
     with open_bag(swing_bag) as swing, BagWriter(tmp_path / "live") as live:
