@@ -97,9 +97,10 @@ class AssessedStates:
         return JointState(int(block.stamp_ns[index]), names, *rows)
 
     def positions(self, row: int) -> dict[str, float]:
-        """Return the joint positions in `row` by name [rad, m]."""
+        """Return the finite joint positions in `row` by name [rad, m]."""
         state = self.state(row)
-        return {} if state is None else dict(zip(state.names, state.position.tolist(), strict=False))
+        positions = () if state is None else zip(state.names, state.position.tolist(), strict=False)
+        return {name: position for name, position in positions if math.isfinite(position)}
 
     def rows(self, contacts: Sequence[int] | None = None) -> Iterator[AssessedState]:
         """Yield the joint states and decisions one by one, with the `contacts` of these numbers, by default all."""

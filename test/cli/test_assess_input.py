@@ -265,6 +265,22 @@ def test_positions_beyond_the_limits_of_the_default_are_another_arm(
     assert "another arm" not in stated.stdout
 
 
+@pytest.mark.usefixtures("unrendered")
+def test_report_of_joint_states_without_finite_positions(changed_bag: MakeBag, cli: Cli, tmp_path: Path) -> None:
+    def change(state: JointState) -> JointState:
+        position = np.append(state.position, math.inf)
+        position[1] = math.nan if state.stamp_ns > START_NS + 10**9 else position[1]
+        return JointState(state.stamp_ns, (*state.names, "valve"), position, np.append(state.velocity, 0.0))
+
+    words = ("-o", tmp_path / "a.csv", "--report", tmp_path / "report", "--ignored-joints", "valve", "--json")
+    done = cli("assess", changed_bag("nan.mcap", change), *words)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert set(json.loads(done.stdout)["tightest"]["positions"]) == {"joint1", "joint2", "joint3", "joint4"}
+    summary = json.loads((tmp_path / "report" / "summary.json").read_text(encoding="utf-8"))
+    nan = next(episode for episode in summary["episodes"] if episode["reason"] == "the position of joint2 is nan")
+    assert set(nan["positions"]) == {"joint1", "joint3", "joint4"}
+
+
 def test_topic_beside_the_assessed_one_is_named_with_what_it_states(swing_bag: Path, cli: Cli, tmp_path: Path) -> None:
     with open_bag(swing_bag) as bag, BagWriter(tmp_path / "two") as both:
         for message in bag.messages():
