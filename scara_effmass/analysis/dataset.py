@@ -38,11 +38,12 @@ from scara_effmass.analysis.summary import Summary, iso_time
 from scara_effmass.analysis.tables import AssessmentWriter, open_writer, provenance
 from scara_effmass.analysis.time_series import TimeSeries, TimeSeriesBuilder
 from scara_effmass.bags.files import bag_bytes, open_bag
+from scara_effmass.codes import Reason
 from scara_effmass.errors import BagError, OutputError
 from scara_effmass.input_files import digest
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
-from scara_effmass.safety.reasons import LOAD_ENTRY
+from scara_effmass.safety.reasons import LOAD_ENTRY, plain_text
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.url import Url
 
@@ -127,6 +128,9 @@ def assess_bag(
         summary.end(bag.end_ns)
         counts = {"joint_states": count + monitor.ignored, "foreign": monitor.ignored, "refused": monitor.rejected}
         notes = [*skew.lines(settings, task.time)]
+        if velocities and (missing := summary.reasons[plain_text(Reason.NO_VELOCITY)]):
+            cause = f"before or after it, in its gaps above {settings.timeout:g} s, or without one of the joints"
+            notes.append(("velocity", f"{missing} joint states have none in {velocities.bag.path}: {cause}"))
         if monitor.load_watch.estimate is not None:
             notes.append((LOAD_ENTRY, monitor.load_text))
         notes += [*other_topic_lines(bag, topic, monitor), *unapplied_lines(bag, settings)]

@@ -182,6 +182,10 @@ def test_velocities_of_another_recording_are_joined_by_log_time(
     assert f"velocity        from {tmp_path / 'velocities.mcap'}, interpolated at the log times" in done.stdout
     assert f"not read        {tmp_path / 'velocities.mcap'}: /velocities: left out: " in done.stdout
     rows = rows_of(tmp_path / "a.parquet")
+    empty = sum(row["reason"].startswith("the velocity is empty") for row in rows) // 6
+    assert (
+        f"velocity        {empty} joint states have none in {tmp_path / 'velocities.mcap'}: before or " in done.stdout
+    )
     for number, (row, expected) in enumerate(zip(rows[::6], plain[::6], strict=True)):
         missing = number < 1 or 400 < number <= 700 or number > 995
         assert row["reason"].startswith("the velocity is empty") == missing, number
