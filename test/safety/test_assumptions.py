@@ -13,7 +13,7 @@ from scara_effmass.model.load import load_robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.safety.assumptions import RULES, Assumptions, assumptions_of, mass_source, name_of
-from scara_effmass.settings import MonitorSettings, checked
+from scara_effmass.settings import MonitorSettings, checked, load_settings
 from scara_effmass.share import share
 from scara_effmass.values import JointState, Payload, Verdict
 
@@ -58,6 +58,11 @@ def test_urdf_without_parameters_states_its_masses_alone() -> None:
     assumptions = monitor_of().assumptions
     assert assumptions.assumed == tuple(code for code in Assumption if code is not Assumption.MASSES)
     assert not assumptions.accepted
+
+
+def test_shipped_parameter_file_states_nothing_of_the_cell() -> None:
+    settings = load_settings(MonitorSettings, share("config", "monitor.yaml"), "monitor")
+    assert assumptions_of(load_robot(UR5), settings) == monitor_of().assumptions
     assert not monitor_of(**ALL_STATED).assumptions.assumed
 
 
