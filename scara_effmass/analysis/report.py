@@ -17,6 +17,7 @@ from itertools import cycle, islice
 from operator import attrgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from textwrap import shorten
 from typing import Any, NamedTuple
 
 import matplotlib as mpl
@@ -59,6 +60,8 @@ INK = "#222222"
 CYCLE = ("#0072B2", "#E69F00", "#009E73", "#CC79A7")
 """Colour-blind-safe palette of Okabe and Ito."""
 MARKERS = "os^D"
+MAX_LINE = 180
+"""Length of a line in a figure."""
 MANY_COLORS = (*CYCLE, "#56B4E9", "#D55E00", "#F0E442", "#999999")
 
 
@@ -110,7 +113,7 @@ def translated(text: str, language: str) -> str | None:
     for pattern, known in patterns(language):
         if match := pattern.fullmatch(text):
             return known.format(*(translated(part, language) or part for part in match.groups()))
-    head, _, bracket = text.removesuffix(")").partition(" (")
+    head, _, bracket = text.removesuffix(")").rpartition(" (")
     before = translated(head, language) if bracket and text.endswith(")") else None
     return None if before is None else f"{before} ({translated(bracket, language) or bracket})"
 
@@ -267,6 +270,7 @@ class ReportFigure(NamedTuple):
 def report_figure(name: str, title: str, caption: str, figure: Figure, language: str = "en") -> ReportFigure:
     """Return `figure` as PNG and SVG, with its texts in `language`; equal figures give equal bytes.
 
+    Lines of texts are cut at `MAX_LINE`.
     The layout is computed once, where `savefig` would compute it twice per format.
     """
 
@@ -275,7 +279,8 @@ def report_figure(name: str, title: str, caption: str, figure: Figure, language:
 
     title, caption = local(title), local(caption)
     for text in figure.findobj(Text):
-        text.set_text("\n".join(local(line) for line in text.get_text().split("\n")))
+        lines = (local(line) for line in text.get_text().split("\n"))
+        text.set_text("\n".join(line if len(line) <= MAX_LINE else shorten(line, MAX_LINE) for line in lines))
     png, svg = BytesIO(), BytesIO()
     figure.set_dpi(DPI)
     FigureCanvasAgg(figure).print_png(png)  # type: ignore[no-untyped-call]

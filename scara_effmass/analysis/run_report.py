@@ -8,7 +8,6 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
-from textwrap import shorten
 from typing import Any
 
 import matplotlib as mpl
@@ -46,8 +45,6 @@ CAPTION = (
     "Verdict; speed of the contact point and its allowable speed; effective masses. "
     "Hatched: UNKNOWN, or no joint state."
 )
-MAX_MODELS_LENGTH = 180
-"""Length of the line with the mass models that decided, and why."""
 MAX_ROWS = 100
 """Most episodes in a table of the page; the summary lists all."""
 COLUMNS = 1500
@@ -107,7 +104,7 @@ class RunReport:
             title=f"{run}, {model} mass",
             subtitle=f"{motion} · contact point: {contact_point} · below {settings.speed_threshold:g} m/s: worst "
             "direction · allowable speed includes the uncertainty margins"
-            f"\n{shorten('mass: ' + '; '.join(models), MAX_MODELS_LENGTH)}",
+            f"\nmass: {'; '.join(models) or 'none'}",
             mass_model=model,
             timeout=settings.timeout,
             forces=forces,

@@ -25,8 +25,10 @@ from scara_effmass.analysis.report import (
     css_string,
     environment,
     file_hashes,
+    new_figure,
     phrases,
     print_pdf,
+    report_figure,
     setting_rows,
     translated,
 )
@@ -37,7 +39,7 @@ from scara_effmass.codes import Reason
 from scara_effmass.errors import OutputError
 from scara_effmass.iso15066 import EDITION
 from scara_effmass.reference import RobotDynamics
-from scara_effmass.safety.reasons import TEXTS
+from scara_effmass.safety.reasons import LOAD_ENTRY, TEXTS
 from scara_effmass.safety.remedies import remedy
 from test.analysis.conftest import RAW, changed, content
 
@@ -119,6 +121,45 @@ def test_reason_is_translated_with_its_words() -> None:
     text = "held after: 0.507 m/s is above the 0.503 m/s that the force limit of lower_leg allows"
     german = "gehalten nach: 0.507 m/s liegen über den 0.503 m/s, die der Grenzwert (Kraft) von Unterschenkel zulässt"
     assert "".join(part for part, _ in phrases(text, "de")) == german
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f"{LOAD_ENTRY}: 0.26 kg (0.23 to 0.28): up to 0.28 kg are not stated: state payload_mass and payload_com",
+        f"{LOAD_ENTRY}: not observable by this motion (0.26 kg (0.23 to 0.28)): move joint3 to and fro",
+        *(
+            f"{LOAD_ENTRY}: unknown: {reason}: check torque_constants, masses and mounting of the robot file, payload"
+            for reason in (
+                "the effort of joint1 is +6974 % off the torque of the model",
+                "the effort of joint1 is 0 while it moves",
+                "the effort of joint1 is not the torque of the model",
+                "the friction of joint1 pushes, as if its effort had the wrong sign",
+                "the torques are those of a load of -2.00 kg",
+            )
+        ),
+        f"{LOAD_ENTRY}: unknown: it needs joint states with effort, and about a second of motion",
+        f"{LOAD_ENTRY}: unknown: it needs velocities as reported",
+        f"{LOAD_ENTRY}: unknown: effort_uncertainty is 0",
+        f"{LOAD_ENTRY}: unknown: it needs the full mass",
+    ],
+)
+def test_load_by_the_torques_is_translated(text: str) -> None:
+    assert all(is_known for _, is_known in phrases(text, "de"))
+
+
+def test_text_before_a_second_bracket_is_translated_with_its_first() -> None:
+    text = "the lumped mass matrix is singular (lumping.policy project_com and mass_at_com approximate) (100.0%)"
+    german = "Die Massenmatrix lumped ist singulär (lumping.policy project_com und mass_at_com nähern an) (100.0%)"
+    assert translated(text, "de") == german
+
+
+def test_titles_and_long_lines_of_a_figure_are_translated() -> None:
+    figure = new_figure(4.0, 2.0, "a robot: a bag, auto mass")
+    text = figure.text(0.0, 0.5, f"mass: full: no lumped mass: link behind {'x' * 200}: none")
+    report_figure("run", "", "", figure, "de")
+    assert figure.get_suptitle() == "a robot: a bag, Masse auto"
+    assert text.get_text() == "Masse: full: keine Masse lumped: Glied hinter [...]"
 
 
 @pytest.mark.parametrize(
