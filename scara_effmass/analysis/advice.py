@@ -264,8 +264,8 @@ def draw_advice(motion: Motion, advice: Advice, title: str) -> Figure:
         if advice.states:
             used.plot(advice.path_time, advice.advised, color=CYCLE[0], label="as advised")
         used.axhline(1.0, color="0.3", linestyle="--", label="allowable speed")
-        used.set(ylabel=f"speed / allowable speed (at most {MAX_SHARE:g})", ylim=(0.0, None))
-        used.legend()
+        used.set(ylabel=f"speed / allowable speed\n(at most {MAX_SHARE:g})", ylim=(0.0, None))
+        used.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
         factor.step(motion.time, advice.factors[advice.segment], where="post", color=CYCLE[0])
         factor.set(xlabel="recorded time [s]", ylabel="factor", ylim=(0.0, 1.05))
     return figure

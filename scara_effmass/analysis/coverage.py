@@ -154,7 +154,7 @@ class Coverage(BaseModel):
                 directions.set(xlabel="azimuth of the velocity [deg]", ylabel="its z component", title=point)
                 speeds = figure.add_subplot(grid[row, 1])
                 speeds.bar(range(len(SPEEDS)), self.counts[f"speed {point}"], width=0.9, color=CYCLE[0])
-                speeds.set_xticks(range(len(SPEEDS)), [f"{speed:g}" for speed in SPEEDS], fontsize=9.0)
+                speeds.set_xticks(range(len(SPEEDS)), [f"{speed:g}" for speed in SPEEDS], rotation=90.0)
                 speeds.set(
                     xlabel="speed, from [m/s]",
                     ylabel="joint states",

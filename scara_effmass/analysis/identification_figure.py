@@ -35,7 +35,7 @@ def draw_identification(found: Identification) -> Figure:
         left.legend(loc="upper left")
         for i, (name, revolute) in enumerate(zip(names, found.robot.revolute, strict=True)):
             right, unit = figure.add_subplot(grid[i, 1]), "N m" if revolute else "N"
-            right.plot(torques.seconds, torques.measured[:, i], color=CYCLE[0], linewidth=1.6, label="torque, measured")
+            right.plot(torques.seconds, torques.measured[:, i], color=CYCLE[0], linewidth=1.6, label="torque, recorded")
             right.plot(torques.seconds, torques.modelled[:, i], color=INK, linewidth=0.8, label="identified, in motion")
             right.set_title(f"{name} [{unit}]", fontsize="small", pad=2.0)
             right.tick_params(labelbottom=i == len(names) - 1)

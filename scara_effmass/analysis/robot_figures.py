@@ -76,7 +76,7 @@ def draw_masses(robot: Robot, lumped: LumpedModel) -> Figure:
         for key, label in labels.items():
             axes.text(*key, label.replace("kg   ", "kg\n   "), fontsize=8.5, va="center")
         _set_equal_axes(axes, everything)
-        axes.legend(loc="center left", bbox_to_anchor=(1.12, 0.5))
+        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     return figure
 
 

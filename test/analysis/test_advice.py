@@ -9,7 +9,7 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from scara_effmass.analysis.advice import Advice, Motion, advise
+from scara_effmass.analysis.advice import Advice, Motion, advise, draw_advice
 from scara_effmass.codes import Reason
 from scara_effmass.errors import BagError
 from scara_effmass.model.load import load_robot
@@ -223,3 +223,10 @@ def test_states_that_cannot_be_re_timed_are_refused(motion: Motion) -> None:
     ):
         with pytest.raises(BagError, match=rf"^run: must have {rule} in all joint states{hint}"):
             Motion([first, bad], "run")
+
+
+def test_labels_of_the_picture_are_in_it(motion: Motion, advised: Callable[[int | None], Advice]) -> None:
+    figure = draw_advice(motion, advised(None), "tour")
+    figure.draw_without_rendering()
+    for axes in figure.axes:
+        assert axes.yaxis.label.get_window_extent().height <= axes.get_window_extent().height

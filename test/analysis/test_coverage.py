@@ -3,6 +3,7 @@
 
 import json
 import math
+from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -131,3 +132,11 @@ def test_file_that_does_not_fit_is_refused(
     path.write_text(json.dumps({"coverage": content["coverage"] | change}), encoding="utf-8")
     with pytest.raises(SettingsError, match=rule):
         counted(dynamics, []).merge(path)
+
+
+def test_speeds_of_the_picture_can_be_read(dynamics: RobotDynamics) -> None:
+    figure = counted(dynamics, [((0.0, 0.0, 0.1, 0.0), (1.0, 0.0, 0.0), 0.05)]).figure()
+    figure.draw_without_rendering()
+    (axes, *_) = (axes for axes in figure.axes if axes.get_xlabel().startswith("speed"))
+    boxes = [label.get_window_extent() for label in axes.get_xticklabels()]
+    assert all(following.x0 - box.x1 > 5.0 for box, following in pairwise(boxes))

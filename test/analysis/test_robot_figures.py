@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The picture of the hulls: polytopes in their place on the robot."""
+"""Pictures of a robot: polytopes in their place on it, and labels that can be read."""
 
 import numpy as np
 import pinocchio as pin
+from mpl_toolkits.mplot3d import Axes3D  # type: ignore[import-untyped]
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
 
-from scara_effmass.analysis.robot_figures import draw_hulls
+from scara_effmass.analysis.robot_figures import draw_hulls, draw_masses
 from scara_effmass.model.load import load_robot
+from scara_effmass.model.lumping import lump
 from scara_effmass.settings import MonitorSettings
 
 
@@ -29,3 +31,15 @@ def test_hulls_are_where_the_links_are() -> None:
     tool = data.oMf[robot.contact_frames["tool"]].translation
     places = [np.ravel(line.get_data_3d()) for line in axes.lines[1:]]  # type: ignore[attr-defined]
     np.testing.assert_allclose(places, [tool], atol=1e-12)
+
+
+def test_legend_of_the_masses_covers_no_label() -> None:
+    robot = load_robot()
+    figure = draw_masses(robot, lump(robot))
+    figure.draw_without_rendering()
+    (axes,) = figure.axes
+    legend = axes.get_legend()
+    assert legend is not None
+    assert isinstance(axes, Axes3D)
+    labels = (axis.label for axis in (axes.xaxis, axes.yaxis, axes.zaxis))
+    assert not any(label.get_window_extent().overlaps(legend.get_window_extent()) for label in (*labels, *axes.texts))
