@@ -193,11 +193,12 @@ def _cell(settings: MonitorSettings, notes: Sequence[str]) -> str:
     }
     lines = [f"# {note}" for note in notes]
     for node, (kind, names) in sections.items():
-        fields = flat_fields(MonitorSettings) | flat_fields(kind)
+        fields, defaults = flat_fields(MonitorSettings) | flat_fields(kind), kind().model_dump(mode="json")
         lines += [f"/**/{node}:", "  ros__parameters:"]
         for name in names:
             lines += wrap(fields[name].description or "", 118, initial_indent="    # ", subsequent_indent="    # ")
-            value = yaml.safe_dump([values[name]], default_flow_style=True, width=math.inf, allow_unicode=True)
             is_stated = name in {*settings.model_fields_set, "robot", "sensor.sensitivity"}
+            shown = (values if is_stated else defaults)[name]
+            value = yaml.safe_dump([shown], default_flow_style=True, width=math.inf, allow_unicode=True)
             lines.append(f"    {'' if is_stated else '# '}{name}: {value.strip()[1:-1]}")
     return "\n".join(lines) + "\n"

@@ -116,6 +116,12 @@ def test_file_holds_the_options_and_the_meaning_of_each_parameter(cli: Cli, moti
         assert not is_parameter or before.startswith("    # "), line
 
 
+def test_comments_hold_the_defaults_of_their_node(cli: Cli, tmp_path: Path) -> None:
+    assert cli("init", "--robot", UR5, "-o", "cell.yaml").returncode == 0
+    validator = (tmp_path / "cell.yaml").read_text(encoding="utf-8").partition("/**/validator:")[2]
+    assert f"# effective_mass_model: {ValidatorSettings().effective_mass_model.value}\n" in validator
+
+
 def test_every_command_takes_the_file(cli: Cli, motion: Path, tmp_path: Path) -> None:
     assert cli("init", "--robot", UR5, *CELL).returncode == 0
     params = ("--params", "cell.yaml", "--json")
