@@ -187,11 +187,11 @@ def _impact_text(record: ImpactRecord, now_ns: int) -> str:
 
 
 def _points(status: CellStatus) -> Table:
-    """Return a row for each contact point; without numbers where the whole cell is UNKNOWN."""
+    """Return a row for each contact point, the worst first; without numbers where the whole cell is UNKNOWN."""
     table = Table(box=None, pad_edge=False)
     for heading in ("contact point", "verdict", "m/s", "of m/s", "kg", "body region"):
         table.add_column(heading, justify="right" if "m/s" in heading or heading == "kg" else "left")
-    for contact in sorted(status.contacts, key=lambda contact: -severity(contact.verdict)):
+    for contact in sorted(status.contacts, key=lambda contact: (-severity(contact.verdict), -contact.limit_share)):
         verdict = contact.verdict if status.verdict is not Verdict.UNKNOWN else Verdict.UNKNOWN
         numbers = (*speed_texts(contact.speed, contact.allowable_speed), f"{contact.effective_mass:.3g}")
         if verdict is Verdict.UNKNOWN:

@@ -107,7 +107,7 @@ def test_worst_contact_point_is_named_and_comes_first() -> None:
     assert "VIOLATION at flange for 1 s" in [line.strip() for line in shown]
     assert "of flange" in shown
     rows = [line.split()[:2] for line in shown if line.split()[:1] and line.split()[0] in verdicts]
-    assert rows == [["rim", "VIOLATION"], ["flange", "VIOLATION"], ["elbow", "WARN"], ["tool", "OK"]]
+    assert rows == [["flange", "VIOLATION"], ["rim", "VIOLATION"], ["elbow", "WARN"], ["tool", "OK"]]
     cell.take_decision(decision_on(unknown_contact("tool", "no joint state"), *contacts[1:]), 3 * S)
     shown = lines(cell, 4 * S, 120, 40)
     assert "UNKNOWN at tool for 1 s" in [line.strip() for line in shown]
