@@ -68,7 +68,7 @@ class Page:
                 ]
                 self._speeds = _chart("speed and allowable speed", "s before now", "m/s", lines, -60)
             with _card("Contact points", "whole"):
-                self._contacts = _html("", "scroll")
+                self._contacts = _html("", "scroll numbers")
             with _card("Last impacts", "wide"):
                 lines = [
                     _line("force", _SPEED_COLOR),
