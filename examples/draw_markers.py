@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from mcap.reader import make_reader
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
 from rclpy.serialization import deserialize_message
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -49,6 +50,8 @@ def draw(axes: Any, marker: Any) -> None:  # noqa: ANN401 - matplotlib's 3-D axe
     elif marker.type == Marker.LINE_LIST:
         for start, end in points.reshape(-1, 2, 3):
             axes.plot(*np.array([start, end]).T, color=color, linewidth=8, solid_capstyle="round")
+    elif marker.type == Marker.TRIANGLE_LIST:
+        axes.add_collection3d(Poly3DCollection(points.reshape(-1, 3, 3) + at, facecolors=color, alpha=marker.color.a))
     elif marker.type == Marker.ARROW:
         axes.quiver(*points[0], *(points[1] - points[0]), color=color, linewidth=250 * marker.scale.x, zorder=10)
     elif marker.type == Marker.TEXT_VIEW_FACING:
