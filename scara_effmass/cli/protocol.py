@@ -2,6 +2,7 @@
 """`scara-effmass protocol`: write, fill in and render a measurement protocol."""
 
 import argparse
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -43,6 +44,10 @@ from scara_effmass.values import Verdict, at_least
 NOT_OK = 1
 MARK = b"tests:"
 """What a protocol holds."""
+MISSING = "missing: "
+"""Prefix of reasons that name a value to fill in."""
+GAPS_SHOWN = 3
+"""Most missing values of a test point that are printed."""
 BASE_AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
@@ -143,9 +148,17 @@ def _printed(protocol: Protocol, result: dict[str, Any], written: Path, *, as_js
             size = "" if item.peak_n is None else f" (up to {at_least(item.peak_n, 1)} N)"
             lines += [("left out", f"{test.id}: {item.count}: {item.reason}{size} in {item.raw_data or 'all'}")]
         if evaluation := test.results.evaluation:
-            lines += [(evaluation.verdict, f"{test.id}: {reason}") for reason in evaluation.reasons]
+            lines += [(evaluation.verdict, f"{test.id}: {reason}") for reason in _shortened(evaluation.reasons)]
     print_result({**result, **content}, [*lines, ("written", written)], as_json=as_json)
     return 0 if content["verdict"] == Verdict.OK.name else NOT_OK
+
+
+def _shortened(reasons: Sequence[str]) -> list[str]:
+    """Return `reasons` with the values that are missing in one of them."""
+    gaps = [reason.removeprefix(MISSING) for reason in reasons if reason.startswith(MISSING)]
+    more = f" and {len(gaps) - GAPS_SHOWN} more (--json lists them)" if len(gaps) > GAPS_SHOWN else ""
+    others = [reason for reason in reasons if not reason.startswith(MISSING)]
+    return [f"{MISSING}{', '.join(gaps[:GAPS_SHOWN])}{more}", *others] if gaps else others
 
 
 def _filled(args: argparse.Namespace, protocol: Protocol) -> tuple[Protocol, list[str]]:

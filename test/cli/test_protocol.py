@@ -68,6 +68,17 @@ def test_the_hint_of_init_works_as_printed(cli: Cli, refused: Refused, swing_bag
     assert "stiffness_n_m: must be stated before contacts are filled in" in line
 
 
+def test_missing_values_of_a_test_point_are_one_line(cli: Cli, swing_bag: Path) -> None:
+    assert cli("protocol", "init", "--from", swing_bag, "--region", "chest", "-o", "protocol.yaml").returncode == 0
+    done = cli("protocol", "report", "protocol.yaml", "-o", "report")
+    lines = [line for line in done.stdout.splitlines() if ": missing: " in line]
+    names = "identity.robot_serial, identity.firmware, identity.safety_checksum"
+    assert lines == [
+        f"UNKNOWN         chest_{n + 1}: missing: {names} and 42 more (--json lists them)" for n in range(len(lines))
+    ]
+    assert len(lines) > 0
+
+
 def test_fill_enters_simulated_contacts_which_stay_unknown(
     cli: Cli, refused: Refused, campaign: list[Path], tmp_path: Path
 ) -> None:
