@@ -23,6 +23,10 @@ def test_readme_example_prints_verdict_mass_and_allowable_speed(capsys: pytest.C
     )
 
 
+def test_a_robot_is_loaded_by_the_name_of_its_file() -> None:
+    assert scara_effmass.load_robot(str(README.parent / "config/robots/ur5_robot.urdf")).name == "ur5"
+
+
 @pytest.mark.live
 def test_public_names_are_documented() -> None:
     code = "import scara_effmass as s; print([name for name in s.__all__ if not getattr(s, name).__doc__])"

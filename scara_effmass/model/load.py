@@ -57,13 +57,13 @@ def loader_of(path: Path) -> RobotFormat:
     return ROBOT_FORMATS.get(path.suffix.lower(), load_urdf)
 
 
-def load_robot(path: Path | None = None, settings: MonitorSettings | None = None) -> Robot:
+def load_robot(path: str | Path | None = None, settings: MonitorSettings | None = None) -> Robot:
     """Return the robot in `path`; by default the one that `settings` name, the shipped Omron i4-550L if none.
 
     `settings` hold the contact points, the load and the armature, and for a URDF also locked joints. Raises RobotError.
     """
     settings = settings or MonitorSettings()
-    path = path or settings.robot_path
+    path = Path(path or settings.robot_path)
     return build_robot(loader_of(path)(path, settings), settings)
 
 
