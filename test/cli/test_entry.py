@@ -150,7 +150,10 @@ REFUSALS: dict[str, tuple[list[str], str]] = {
     "missing parameters": (["assess", TOUR, "-o", "a.csv", "--params", "no.yaml"], "no.yaml: cannot be read"),
     "missing parameters of a node": (["monitor", "--params", "no.yaml"], "no.yaml: cannot be read"),
     "missing bag": (["assess", "no.mcap", "-o", "a.csv"], "no.mcap: does not exist"),
-    "not a bag": (["assess", ROBOT, "-o", "a.csv"], "is not a bag; expected MCAP"),
+    "not a bag": (
+        ["assess", ROBOT, "-o", "a.csv"],
+        "is not a bag; expected MCAP, SQLite (rosbag2) or ROS 1, or a file that `scara-effmass import` has converted",
+    ),
     "wrong topic": (
         ["assess", TOUR, "-o", "a.csv", "--topic", "/arm"],
         "--topic = /arm: must be one of /",
