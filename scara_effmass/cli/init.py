@@ -102,9 +102,8 @@ def _interview(
 ) -> tuple[MonitorSettings, RobotDynamics]:
     """Ask for each missing option until the answer is valid; return settings and robot, as `_checked`.
 
-    The settings state what was asked, also where Enter chose the default.
+    Enter states nothing: whoever skips a question has not said that a person stands still.
     """
-    asked = []
     for option in options_of("robot", "bag", "situation"):
         name = option.dest
         is_load = name in {"payload_com", "payload_inertia"}
@@ -114,13 +113,12 @@ def _interview(
             if not (problem := args.bag and _misfit(args, settings, dynamics)):
                 continue
             print_lines([("", problem)])
-        asked.append(name)
         links = [frame.name for frame in dynamics.robot.model.frames if frame.type.name == "BODY"]
         choices = {"body_regions": BODY_REGIONS, "contact_points": links or dynamics.contact_points}
         names = choices.get(name, option.keywords.get("choices"))
         print_lines([(f"{name}: ", option.keywords["help"]), *([("", f"of {', '.join(names)}")] if names else [])])
         several = "several by commas; " if option.keywords.get("action") else ""
-        while text := _answer(f"  ({several}Enter: default) "):
+        while text := _answer(f"  ({several}Enter: not stated) "):
             try:
                 setattr(args, name, _value(option, text))
                 checked = _checked(args)
@@ -131,8 +129,7 @@ def _interview(
             except (EffmassError, ValueError, argparse.ArgumentTypeError) as error:
                 setattr(args, name, None)
                 print_lines([("", error)])
-    answers = {name: getattr(settings, name) for name in asked if name in _cell_names()}
-    return settings.model_copy(update=answers), dynamics
+    return settings, dynamics
 
 
 def _answer(prompt: str) -> str:

@@ -250,7 +250,7 @@ class Terminal(io.StringIO):
 def test_a_terminal_is_asked_for_what_is_missing(
     cli: Cli, motion: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A wrong answer is explained and asked again; Enter takes the default."""
+    """A wrong answer is explained and asked again; Enter states nothing."""
     answers = {
         "bag": [str(motion)],
         "effective_mass_model": ["light", "full"],
@@ -275,3 +275,4 @@ def test_a_terminal_is_asked_for_what_is_missing(
     assert settings.payload_inertia == (0.0,) * 6
     assert (settings.body_regions, settings.contact) == (("chest", "hand_fingers"), ContactType.TRANSIENT)
     assert (settings.contact_area_m2, settings.person_speed) == (2e-4, 0.2)
+    assert not {"payload_inertia", "contact", "max_acceleration"} & settings.model_fields_set
