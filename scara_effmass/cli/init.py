@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
         next_step += f" --hulls {shell_path(args.output.with_name('hulls.png'))}"
     print_lines([*lines, ("written", args.output), ("next", next_step)])
     usual, worth = worth_of(settings, dynamics, assumptions)
-    rows = [(*row[:3], "" if row.change is None else f"{row.change:+.3f}") for row in worth]
+    rows = [(*row[:3], "unknown" if row.change is None else f"{row.change:+.3f}") for row in worth if row.other]
     print_table(
         f"Allowable speed at {TYPICAL_SPEED:g} m/s, mean of {POSES} poses: {usual:.3f} m/s; change with another value:",
         ("assumption", "is", "with another value", "m/s"),

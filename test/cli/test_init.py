@@ -122,6 +122,12 @@ def test_comments_hold_the_defaults_of_their_node(cli: Cli, tmp_path: Path) -> N
     assert f"# effective_mass_model: {ValidatorSettings().effective_mass_model.value}\n" in validator
 
 
+def test_table_of_other_values_has_no_empty_row(cli: Cli) -> None:
+    table = cli("init", "--robot", UR5).stdout.partition("with another value  ")[2].splitlines()[2:]
+    assert [line for line in table if line.strip() and line.split()[-1][0] not in "+-"] == []
+    assert len(table) > 5
+
+
 def test_every_command_takes_the_file(cli: Cli, motion: Path, tmp_path: Path) -> None:
     assert cli("init", "--robot", UR5, *CELL).returncode == 0
     params = ("--params", "cell.yaml", "--json")
