@@ -53,6 +53,14 @@ def _object_code() -> bytes:
         reloc="pic",
         codemodel="default",
     )
+    # Once more with all functions together, of which only those are called from outside: that is a quarter faster.
+    for found in library.functions:
+        if not found.is_declaration and found.name not in compiled.FUNCTIONS:
+            found.linkage = llvm.Linkage.internal
+    tuning = llvm.create_pipeline_tuning_options(speed_level=3)
+    tuning.loop_vectorization = False
+    passes = llvm.create_pass_builder(machine, tuning)
+    passes.getModulePassManager().run(library, passes)
     code: bytes = machine.emit_object(library)
     return code
 
