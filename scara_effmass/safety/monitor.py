@@ -240,6 +240,7 @@ class Monitor:
         self._points = self.dynamics.contact_points
         self._single = self._new_pending(1)
         self._single_calls = self._bind(self._single)
+        self._single_state, self._single_change = self._single.states.data, self._single.motions[:, 3]
         if not self.load_watch.is_of(self.dynamics, settings):
             self.load_watch = LoadWatch(self.dynamics, settings)
 
@@ -433,14 +434,15 @@ class Monitor:
         if layout.is_foreign:
             self._ignore(layout, np.array([now_ns]), state.position[None], state.velocity[None])
             return None
-        pending = self._single
+        pending, data = self._single, self._single_state
         number = NO_SEQUENCE if sequence_number is None else sequence_number
-        HEAD.pack_into(pending.states.data, 0, state.stamp_ns, now_ns, number)
+        HEAD.pack_into(data, 0, state.stamp_ns, now_ns, number)
         if layout.reason is Reason.NONE:
-            pending.states.data[REASON_BYTES] = NO_REASON
+            data[REASON_BYTES] = NO_REASON
         else:
             detail = self._detail(layout.detail)
-            REASON.pack_into(pending.states.data, REASON_BYTES.start, layout.reason, layout.joint, detail, *NO_NUMBERS)
+            REASON.pack_into(data, REASON_BYTES.start, layout.reason, layout.joint, detail, *NO_NUMBERS)
+        self._single_change.fill(0.0)
         self._read(pending, layout, state.position, state.velocity, state.effort)
         self.compute(pending)
         self._until_check -= 1
@@ -607,7 +609,6 @@ class Monitor:
         self, pending: Pending, layout: Layout, position: FloatArray, velocity: FloatArray, effort: FloatArray
     ) -> None:
         """Put the joint states in order, and admit or refuse them."""
-        pending.motions[:, 3] = 0.0  # the one of the single joint state is used again
         if layout.reason is not Reason.NONE:
             pending.records["reason"][:, VALUES] = layout.value
         else:
