@@ -2,26 +2,29 @@
 """Functions of this room that numba compiles into one library, in a process of its own: this one only loads it.
 
 The library is kept in a folder that is named by a hash of all sources of the kernel, of the versions of what compiles
-them, and of the processor. With NUMBA_DISABLE_JIT=1 the functions stay plain Python, which takes far longer.
+them, and of the machine. With NUMBA_DISABLE_JIT=1 the functions stay plain Python, which takes far longer.
 """
 
 import ctypes
+import fcntl
 import hashlib
 import os
 import platform
+import shlex
 import struct
 import subprocess
 import sys
+from array import array
 from collections.abc import Callable
 from contextlib import suppress
-from functools import cache, cached_property, partial, update_wrapper
+from functools import cached_property, partial, update_wrapper
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
+from itertools import takewhile
 from pathlib import Path
-from typing import Any, Generic, ParamSpec, TypeVar, cast
+from tempfile import TemporaryDirectory
+from typing import IO, Any, Generic, ParamSpec, TypeVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scara_effmass.errors import KernelError
 
@@ -38,57 +41,42 @@ BYTES, INTEGERS, FLAGS, VECTOR = "uint8[::1]", "int64[::1]", "boolean[::1]", "fl
 MATRIX, MATRICES = "float64[:, ::1]", "float64[:, :, ::1]"
 INTEGER, FLAG, NUMBER = "int64", "boolean", "float64"
 """Types of arguments, as numba writes them."""
+FILE = "library"
 _SHARED = 3
 """Type of an ELF file that is a shared library, byte 16; other ones are object code."""
 
 
-def _source_hash() -> str:
-    """Return a hash of what the library depends on, the processor apart."""
+def _name() -> str:
+    """Return the name of the folder of the library: a hash of what the library depends on."""
+    from importlib.metadata import PackageNotFoundError, version  # noqa: PLC0415 - takes 30 ms
+
     package = Path(__file__).parents[1]
     # Constants of these rooms are compiled in.
     rooms = ("kernel", "iso15066", "reference")
     sources = [*(path for room in rooms for path in sorted((package / room).glob("*.py")))]
     sources += [package / "codes.py", package / "values.py"]
     content = [source.read_bytes() for source in sources]
-    return hashlib.sha256(b"\0".join([*content, *map(str.encode, _versions())])).hexdigest()[:16]
-
-
-def _versions() -> list[str]:
-    versions = [platform.python_version(), np.__version__]
+    machine = [platform.machine(), *platform.libc_ver(), platform.python_version(), np.__version__, *_processor()]
     for library in ("numba", "llvmlite"):
         with suppress(PackageNotFoundError):
-            versions.append(version(library))
-    return versions
+            machine.append(version(library))
+    return f"kernel-{hashlib.sha256(bytes(1).join([*content, *map(str.encode, machine)])).hexdigest()[:16]}"
 
 
-def _processor() -> str:
+def _processor() -> list[str]:
     """Return what distinguishes a processor from one that lacks some of its instructions."""
-    found = [platform.machine()]
     with suppress(OSError), Path("/proc/cpuinfo").open(encoding="utf-8", errors="replace") as file:
-        for line in file:
-            if not line.strip():
-                break
-            if line.lower().startswith(("model name", "flags", "features", "cpu part")):
-                found.append(line)
-    return hashlib.sha256("".join(found).encode()).hexdigest()[:8]
+        lines = takewhile(str.strip, file)  # those of the first core
+        return [line for line in lines if line.lower().startswith(("model name", "flags", "features", "cpu part"))]
+    return []
 
 
-def cache_folder() -> Path | None:
-    """Return the folder of the library that was compiled from these sources; None if no folder can be written.
-
-    It lies in NUMBA_CACHE_DIR, else in the user's cache folder, else beside the sources.
-    """
-    stated = os.environ.get("NUMBA_CACHE_DIR")
+def cache_folders() -> list[Path]:
+    """Return where the library may be kept: in NUMBA_CACHE_DIR, else in the user's cache or beside the sources."""
+    if stated := os.environ.get("NUMBA_CACHE_DIR"):
+        return [Path(stated, _name())]
     user = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"), "scara_effmass")  # noqa: PTH111 - no home is no error
-    for base in [Path(stated)] if stated else [user, Path(__file__).parent / "__pycache__"]:
-        folder = base / f"kernel-{_source_hash()}-{_processor()}"
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError:
-            continue
-        if os.access(folder, os.W_OK):
-            return folder
-    return None
+    return [base / _name() for base in (user, Path(__file__).parent / "__pycache__") if base.is_absolute()]
 
 
 def why_not() -> str:
@@ -96,56 +84,115 @@ def why_not() -> str:
     return _library()[1]
 
 
-@cache
+_LOADED: list[Callable[[str], Any]] = []
+"""What finds a function of the library by its name, once it is loaded."""
+
+
 def _library() -> tuple[Callable[[str], Any] | None, str]:
-    """Return what finds a function of the library by its name, or why there is none."""
-    if os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
-        return None, ""
-    folder = cache_folder()
-    library = folder and _kept(folder / "library")
-    try:
-        if not library:
-            library = _compile()
-            if folder:
-                with suppress(OSError):  # a full disk costs the time to compile again
-                    _keep(folder / "library", library)
-        return _open(library), ""
-    except (OSError, KernelError) as error:
-        return None, f"the kernel cannot be compiled: {error}"
+    """Return what finds a function of the library, or why there is none."""
+    if not _LOADED:
+        if os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
+            return None, ""
+        try:
+            _LOADED.append(_load())
+        except (OSError, AttributeError, KernelError) as error:
+            return None, f"the kernel cannot be compiled: {error}"
+    return _LOADED[0], ""
 
 
-def _kept(file: Path) -> bytes:
-    """Return the library in `file`, empty if there is none or it is damaged."""
+def _load() -> Callable[[str], Any]:
+    """Load the library that is kept, or else compile it. Raises KernelError, OSError."""
+    folders = cache_folders()
+    for folder in folders:
+        if find := _load_kept(folder):
+            return find
+    for folder in folders:
+        if lock := _locked(folder):
+            with lock:
+                return _load_kept(folder) or _compile(folder)
+    return _compile(None)
+
+
+def _locked(folder: Path) -> IO[str] | None:
+    """Let one process compile in `folder`, and the others wait for it; None if nothing can be written there."""
     with suppress(OSError):
-        content = file.read_bytes()
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = (folder / "lock").open("w", encoding="utf-8")
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        return lock
+    return None
+
+
+def _load_kept(folder: Path) -> Callable[[str], Any] | None:
+    """Load the library in `folder`; None if there is none, or it is damaged or for another system."""
+    with suppress(OSError):
+        content = (folder / FILE).read_bytes()
         if content[:32] == hashlib.sha256(content[32:]).digest():
-            return content[32:]
-    return b""
+            return _open(_linked(content[32:], folder))
+    return None
 
 
-def _keep(file: Path, library: bytes) -> None:
-    new = file.with_name(f"new-{os.getpid()}")
-    new.write_bytes(hashlib.sha256(library).digest() + library)
-    new.replace(file)
+def _compile(folder: Path | None) -> Callable[[str], Any]:
+    """Compile in a process that finds libraries where this one does, and keep what can be loaded in `folder`."""
+    entries: list[Any] = sys.path
+    package, paths = str(Path(__file__).parents[2]), [path for path in entries if isinstance(path, str)]
+    # An editable installation is not on the path.
+    code = (
+        f"import sys; sys.path.append({package!r}); import scara_effmass.kernel; sys.path[:] = {paths}; "
+        "from scara_effmass.kernel.compiler import main; main()"
+    )
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")}
+    command = [sys.executable or "python3", "-I", "-S", "-c", code]
+    done = subprocess.run(command, env=environment, stdin=subprocess.DEVNULL, capture_output=True, check=False)  # noqa: S603 - ours
+    if done.returncode != 0 or done.stdout[:4] != b"\x7fELF":
+        lines = done.stderr.decode(errors="replace").strip().splitlines() or ["it said nothing"]
+        by_signal = f"its process was ended by signal {-done.returncode}: " if done.returncode < 0 else ""
+        raise KernelError(f"{by_signal}{lines[-1][:300]}")
+    library = _linked(done.stdout)
+    find = _open(library)
+    if folder:
+        _keep(folder, library)
+    return find
 
 
-def _compile() -> bytes:
-    """Return the library, compiled by a process that finds modules where this one does. Raises KernelError, OSError."""
-    paths = [str(Path(__file__).parents[2]), *(path or os.getcwd() for path in sys.path)]  # noqa: PTH109 - as Python
-    code = f"import sys; sys.path[:] = {paths}; from scara_effmass.kernel.compiler import main; main()"
-    done = subprocess.run([sys.executable, "-I", "-S", "-c", code], capture_output=True, check=False)  # noqa: S603 - ours
-    if done.returncode != 0:
-        raise KernelError(done.stderr.decode(errors="replace").strip() or f"its process ended with {done.returncode}")
-    return done.stdout
+def _keep(folder: Path, library: bytes) -> None:
+    """Write the library; where that fails, each start takes the time to compile."""
+    new = folder / f"new-{os.getpid()}"
+    with suppress(OSError):
+        try:
+            new.write_bytes(hashlib.sha256(library).digest() + library)
+            new.replace(folder / FILE)
+        finally:
+            new.unlink(missing_ok=True)
+
+
+def _linked(library: bytes, folder: Path | None = None) -> bytes:
+    """Return the shared library of object code, kept in `folder`; without a linker, the object code."""
+    if library[16] == _SHARED:
+        return library
+    with suppress(OSError, ValueError, subprocess.CalledProcessError), TemporaryDirectory() as temporary:
+        source, linked = Path(temporary, "kernel.o"), Path(temporary, "kernel.so")
+        source.write_bytes(library)
+        command = [*shlex.split(os.environ.get("CC") or "cc"), "-shared", "-Wl,-z,noexecstack"]
+        subprocess.run([*command, "-o", linked, source, "-lm"], capture_output=True, check=True)  # noqa: S603
+        library = linked.read_bytes()
+        if folder:
+            _keep(folder, library)
+    return library
 
 
 def _open(library: bytes) -> Callable[[str], Any]:
-    """Load the library, not from its file: its folder may not be for programs."""
+    """Load the library, not from its file: its folder may not be for programs. Raises OSError."""
     if library[16] == _SHARED:
-        descriptor = os.memfd_create("scara_effmass_kernel")
-        with os.fdopen(descriptor, "wb", buffering=0) as file:
+        # Not that of os, which the Pythons of conda lack.
+        descriptor = ctypes.CDLL(None, use_errno=True).memfd_create(b"scara_effmass_kernel", 1)
+        if descriptor < 0:
+            raise OSError(ctypes.get_errno(), f"memfd_create: {os.strerror(ctypes.get_errno())}")
+        with os.fdopen(descriptor, "wb") as file:
             file.write(library)
-            return ctypes.CDLL(f"/proc/self/fd/{descriptor}").__getitem__
+            file.flush()
+            # The loader knows libraries by name, and others load theirs from /proc/self.
+            return ctypes.CDLL(f"/proc/{os.getpid()}/fd/{descriptor}").__getitem__
     binding: Any = import_module("llvmlite.binding")
     binding.initialize_native_target()
     binding.initialize_native_asmprinter()
@@ -159,15 +206,13 @@ def _open(library: bytes) -> Callable[[str], Any]:
 class Call:
     """A function of the library with its arguments."""
 
-    __slots__ = ("_at", "_kept", "_native", "_result")
+    __slots__ = ("_at", "_native", "_owned", "_result")
 
-    def __init__(self, native: Any, arguments: list[int], kept: tuple[object, ...]) -> None:  # noqa: ANN401 - of ctypes
+    def __init__(self, native: Any, arguments: list[int], owners: tuple[object, ...]) -> None:  # noqa: ANN401 - of ctypes
         self._result, error = ctypes.c_int64(), ctypes.c_int64()
-        packed = (ctypes.c_int64 * (2 + len(arguments)))(
-            ctypes.addressof(self._result), ctypes.addressof(error), *arguments
-        )
-        self._native, self._at = native, ctypes.c_void_p(ctypes.addressof(packed))
-        self._kept = packed, error, kept
+        packed = array("q", [ctypes.addressof(self._result), ctypes.addressof(error), *arguments])
+        self._native, self._at = native, ctypes.c_void_p(packed.buffer_info()[0])
+        self._owned = packed, error, owners
 
     def __call__(self) -> int:
         """Call the function. Raises KernelError where plain Python raises an exception."""
@@ -194,18 +239,26 @@ class Compiled(Generic[Parameters, Result]):
         if self._native is None:
             return partial(self._function, *arguments)
         values: list[int] = []
-        for kind, dtype, argument in zip(self._types, self._dtypes, arguments, strict=True):
+        value: Any
+        for kind, dtype, value in zip(self._types, self._dtypes, arguments, strict=True):
             if "[" in kind:
-                array = cast(NDArray[Any], argument)
-                if (array.dtype, array.ndim) != (dtype, kind.count(",") + 1) or not array.flags.c_contiguous:
-                    found = f"{array.dtype} {array.shape} with strides {array.strides}"
-                    raise TypeError(f"{self._function.__name__}: must be {kind}, is {found}")
-                values += (0, 0, array.size, array.itemsize, array.ctypes.data, *array.shape, *array.strides)
+                self._check(kind, dtype, value)
+                values += (0, 0, value.size, value.itemsize, value.ctypes.data, *value.shape, *value.strides)
             elif kind == NUMBER:
-                values += struct.unpack("q", struct.pack("d", argument))
+                values += struct.unpack("q", struct.pack("d", value))
             else:
-                values.append(int(cast(int, argument)))
-        return cast(Callable[[], Result], Call(self._native, values, arguments))
+                values.append(int(value))
+        call: Any = Call(self._native, values, arguments)
+        return call  # type: ignore[no-any-return]
+
+    def _check(self, kind: str, dtype: np.dtype[Any], value: Any) -> None:  # noqa: ANN401 - any argument
+        if not isinstance(value, np.ndarray):
+            raise TypeError(f"{self._function.__name__}: must be {kind}, is {type(value).__name__}")
+        is_written = kind in {BYTES, MATRICES}
+        fits = value.flags.c_contiguous and (value.flags.writeable or not is_written)
+        if not fits or value.dtype != dtype or value.ndim != kind.count(",") + 1:
+            found = f"{value.dtype} {value.shape} with strides {value.strides}"
+            raise TypeError(f"{self._function.__name__}: must be {kind}, is {found}")
 
     def __call__(self, *arguments: Parameters.args, **_: Parameters.kwargs) -> Result:
         """Call the function with `arguments`."""

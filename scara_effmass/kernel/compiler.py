@@ -1,32 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compile the kernel to a library, in a process of its own: numba and LLVM take 40 s and 500 MB.
+"""Compile the kernel to object code, in a process of its own: numba and LLVM take 40 s and 500 MB.
 
-numba translates the functions, LLVM writes object code, and the linker of the system makes a shared library of it, if
-there is one. numba calls a function with the addresses of its result and of an exception, then with the members of each
+numba calls a function with the addresses of its result and of an exception, then with the members of each
 array (none that owns it, size, size of an item, data, shape, strides), and gets a status, 0 for success; see
 numba.core.callconv. The library has these in one array of 8 bytes each.
 """
 
 import os
-import shlex
-import subprocess
 import sys
-from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from scara_effmass.kernel import compiled
 
 
 def main() -> None:
-    """Write the library to the standard output, or one line to the standard error."""
+    """Write object code to the standard output, or one line to the standard error."""
+    output = os.dup(1)
+    os.dup2(2, 1)  # numba and LLVM print what NUMBA_* variables or their authors ask for
     try:
-        library = _linked(_object_code())
+        code = _object_code()
     except Exception as error:  # noqa: BLE001 - a damaged installation may raise anything
         sys.exit(" ".join(str(error).split()) or type(error).__name__)
-    sys.stdout.buffer.write(library)
+    with os.fdopen(output, "wb") as file:
+        file.write(code)
 
 
 def _object_code() -> bytes:
@@ -74,14 +72,3 @@ def _entry(name: str, native: Any) -> str:  # noqa: ANN401 - a function of llvml
     arguments = ", ".join(f"{kind} %of{i}" for i, kind in enumerate(types))
     lines += [f"  %status = call i32 @{native.name}({arguments})", "  ret i32 %status", "}"]
     return "\n".join([f"declare i32 @{native.name}({', '.join(types)})", *lines])
-
-
-def _linked(code: bytes) -> bytes:
-    """Return a shared library of object code; without a linker, the code."""
-    with suppress(OSError, subprocess.CalledProcessError), TemporaryDirectory() as folder:
-        source, library = Path(folder, "kernel.o"), Path(folder, "kernel.so")
-        source.write_bytes(code)
-        command = [*shlex.split(os.environ.get("CC") or "cc"), "-shared", "-Wl,-z,noexecstack"]
-        subprocess.run([*command, "-o", library, source, "-lm"], capture_output=True, check=True)  # noqa: S603
-        return library.read_bytes()
-    return code

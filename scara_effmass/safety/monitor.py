@@ -50,7 +50,7 @@ from scara_effmass.values import NO_VALUES, Decision, FloatArray, JointState, Pa
 CHECK_INTERVAL = 2000
 """Number of joint states of which one is compared with the reference, at one contact; the contacts take turns."""
 TRIALS = 24
-"""Number of joint states at which kernel and reference are compared, at one contact each, when it is compiled."""
+"""Number of joint states at which kernel and reference are compared at one contact each, before the first one."""
 CLOCK_STEPS = 10
 """Number of steps of a simulated clock that are remembered."""
 DEFAULT_MAX_SPEED = (60.0, 10.0)
@@ -98,7 +98,7 @@ class Pending(NamedTuple):
 
 
 class Calls(NamedTuple):
-    """The steps of the kernel with the arrays of one Pending."""
+    """The steps of the kernel with the arrays of the one joint state that comes live."""
 
     admit: Callable[[], None]
     compute: Callable[[], None]
@@ -239,8 +239,9 @@ class Monitor:
         self._normal = f"{settings.contact_normal} {settings.contact_normal_frame}".strip()
         self._points = self.dynamics.contact_points
         self._single = self._new_pending(1)
-        self._single_calls = self._bind(self._single)
-        self._single_state, self._single_change = self._single.states.data, self._single.motions[:, 3]
+        single = self._single
+        self._single_calls = Calls(self._bind_admit(single), self._bind_compute(single), self._bind_settle(single))
+        self._single_state, self._single_change = single.states.data, single.motions[:, 3]
         if not self.load_watch.is_of(self.dynamics, settings):
             self.load_watch = LoadWatch(self.dynamics, settings)
 
@@ -505,13 +506,13 @@ class Monitor:
             is_stated = self._max_qdd >= np.abs(qdd) + errors  # a stated one counts in both directions
             pending.motions[:, 5] = np.where(is_stated, qdd, 0.0)
             errors[:], qdd[is_stated] = np.where(is_stated, self._max_qdd, errors), 0.0
-        self._calls(pending).compute()
+        (self._single_calls.compute if pending is self._single else self._bind_compute(pending))()
 
     def settle(self, pending: Pending) -> Assessments:
         """Return the assessments of joint states that are computed, in the order of admission."""
         if pending.texts is not self._remembered_texts:
             self._restate(pending.texts)
-        self._calls(pending).settle()
+        (self._single_calls.settle if pending is self._single else self._bind_settle(pending))()
         states, numbers = pending.states, pending.numbers
         if pending is self._single:
             states, numbers = states.copy(), numbers.copy()
@@ -569,18 +570,15 @@ class Monitor:
         states, q, qd = records.view(np.uint8), motions[:, 0], motions[:, 1]
         return Pending(records, states, motions, q, qd, numbers, self._kernel, self._unknown, self._texts)
 
-    def _bind(self, pending: Pending) -> Calls:
-        states, motions, numbers = pending.states, pending.motions, pending.numbers
-        rules, memory, joints, debounces = self._memory_bytes
-        return Calls(
-            admit.bind(states, motions, rules, memory, joints),
-            pending.kernel.bind(states, motions, numbers),
-            settle.bind(states, numbers, pending.unknown, rules, memory, debounces),
-        )
+    def _bind_admit(self, pending: Pending) -> Callable[[], None]:
+        return admit.bind(pending.states, pending.motions, *self._memory_bytes[:3])
 
-    def _calls(self, pending: Pending) -> Calls:
-        """Return the steps for `pending`; those for one joint state are always the same."""
-        return self._single_calls if pending is self._single else self._bind(pending)
+    def _bind_compute(self, pending: Pending) -> Callable[[], None]:
+        return pending.kernel.bind(pending.states, pending.motions, pending.numbers)
+
+    def _bind_settle(self, pending: Pending) -> Callable[[], None]:
+        rules, memory, _, debounces = self._memory_bytes
+        return settle.bind(pending.states, pending.numbers, pending.unknown, rules, memory, debounces)
 
     def _ignore(self, layout: Layout, clocks: IntArray, position: FloatArray, velocity: FloatArray) -> None:
         """Count joint states of other devices, and note which of their joints move."""
@@ -619,7 +617,7 @@ class Monitor:
                 pending.records["delay"], known = filtered
                 pending.records["reason"][~known, CODE] = Reason.LONE_POSITION
             self._refuse_unmodelled(pending.records, layout, position, velocity)
-        self._calls(pending).admit()
+        (self._single_calls.admit if pending is self._single else self._bind_admit(pending))()
         if layout.reason is Reason.NONE:
             self._watch_load(pending, layout, effort)
 

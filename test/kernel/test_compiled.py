@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shutil
 import subprocess
@@ -75,42 +76,24 @@ def output(process: subprocess.Popen[str]) -> str:
     return out.strip()
 
 
-def folder(monkeypatch: pytest.MonkeyPatch, **environment: str) -> Path | None:
+def folders(monkeypatch: pytest.MonkeyPatch, **environment: str) -> list[Path]:
     for name in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME", "HOME"):
         monkeypatch.delenv(name, raising=False)
     for name, value in environment.items():
         monkeypatch.setenv(name, value)
-    return compiled.cache_folder()
+    return [folder.parent for folder in compiled.cache_folders()]
 
 
-def test_stated_folder_comes_first_then_the_cache_of_the_user(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    stated, user, home = (str(tmp_path / name) for name in ("stated", "user", "home"))
-    found = [
-        folder(monkeypatch, NUMBA_CACHE_DIR=stated, XDG_CACHE_HOME=user, HOME=home),
-        folder(monkeypatch, XDG_CACHE_HOME=user, HOME=home),
-        folder(monkeypatch, HOME=home),
-    ]
-    expected = [tmp_path / "stated", tmp_path / "user/scara_effmass", tmp_path / "home/.cache/scara_effmass"]
-    assert [path and path.parent for path in found] == expected
-
-
-def test_home_that_cannot_be_written_leaves_the_folder_of_the_sources(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    (tmp_path / "home").touch()  # root may write into any folder, but not below a file
-    found = folder(monkeypatch, HOME=str(tmp_path / "home"))
-    assert found is not None
-    assert found.parent == Path(compiled.__file__).parent / "__pycache__"
-    monkeypatch.setattr(os, "access", lambda *_: False)
-    assert compiled.cache_folder() is None
-
-
-def test_stated_folder_that_cannot_be_written_is_replaced_by_none(
+def test_stated_folder_is_the_only_one_else_the_cache_of_the_user_and_the_sources(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """Who states a folder does not want another one filled."""
-    (tmp_path / "file").touch()
-    assert folder(monkeypatch, NUMBA_CACHE_DIR=str(tmp_path / "file")) is None
+    stated, user, home = (str(tmp_path / name) for name in ("stated", "user", "home"))
+    sources = Path(compiled.__file__).parent / "__pycache__"
+    assert folders(monkeypatch, NUMBA_CACHE_DIR=stated, XDG_CACHE_HOME=user, HOME=home) == [tmp_path / "stated"]
+    assert folders(monkeypatch, XDG_CACHE_HOME=user, HOME=home) == [tmp_path / "user/scara_effmass", sources]
+    assert folders(monkeypatch, HOME=home) == [tmp_path / "home/.cache/scara_effmass", sources]
+    assert folders(monkeypatch, XDG_CACHE_HOME="relative") == [sources]
 
 
 def test_each_version_of_the_sources_has_a_folder_of_its_own(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -121,18 +104,19 @@ def test_each_version_of_the_sources_has_a_folder_of_its_own(monkeypatch: pytest
     for module in ("codes.py", "values.py"):
         shutil.copy(package / module, tmp_path)
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
-    original = compiled.cache_folder()
+    original = compiled.cache_folders()
     monkeypatch.setattr(compiled, "__file__", str(tmp_path / "kernel" / "compiled.py"))
-    folders = [original, compiled.cache_folder()]
+    folders = [original, compiled.cache_folders()]
     for changed in ("kernel/spatial.py", "iso15066/__init__.py", "reference/__init__.py", "codes.py", "values.py"):
         with (tmp_path / changed).open("a", encoding="utf-8") as source:
             source.write("\n")
-        folders.append(compiled.cache_folder())
+        folders.append(compiled.cache_folders())
     assert folders[0] == folders[1]
-    for function in ("_processor", "_versions"):
-        monkeypatch.setattr(compiled, function, lambda: ["other"])
-        folders.append(compiled.cache_folder())
-    assert len(set(folders)) == len(folders) - 1
+    monkeypatch.setattr(compiled, "_processor", lambda: ["other"])
+    folders.append(compiled.cache_folders())
+    monkeypatch.setattr(np, "__version__", "other")
+    folders.append(compiled.cache_folders())
+    assert len({str(found) for found in folders}) == len(folders) - 1
 
 
 def fields(dtype: np.dtype[Any]) -> Iterator[str]:
@@ -171,8 +155,8 @@ def damaged(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def only_file(cache: Path) -> Path:
-    (library,) = (path for path in cache.rglob("*") if path.is_file())
+def library_in(cache: Path) -> Path:
+    (library,) = cache.rglob(compiled.FILE)
     return library
 
 
@@ -180,30 +164,48 @@ def only_file(cache: Path) -> Path:
 def test_library_is_compiled_once_for_all_installations_of_the_same_sources(
     cache: Path, package: Path, tmp_path: Path, damaged: Path
 ) -> None:
-    kept = only_file(cache).stat().st_mtime_ns
+    kept = library_in(cache).stat().st_mtime_ns
     for installation in (package, copy(tmp_path / "other")):
         assert output(start(damaged, installation, NUMBA_CACHE_DIR=str(cache))) == LOADED
-    assert only_file(cache).stat().st_mtime_ns == kept
+    assert library_in(cache).stat().st_mtime_ns == kept
+
+
+def with_hash(content: bytes) -> bytes:
+    return hashlib.sha256(content).digest() + content
+
+
+OTHER_SYSTEM = with_hash(b"\x7fELF".ljust(16) + b"\x03".ljust(64))
 
 
 @pytest.mark.live
-@pytest.mark.parametrize("size", [0, 40, 20_000])
-def test_damaged_library_is_compiled_again(cache: Path, package: Path, damaged: Path, size: int) -> None:
-    """As after a loss of power. Here numba is damaged, too, which shows that it was asked."""
+@pytest.mark.parametrize("content", [b"", b"x" * 40, OTHER_SYSTEM], ids=["empty", "damaged", "of another system"])
+def test_library_that_cannot_be_loaded_is_compiled_again(
+    cache: Path, package: Path, damaged: Path, content: bytes
+) -> None:
+    """As after a loss of power, or in a home of several systems. numba is damaged, which shows that it was asked."""
     copied = shutil.copytree(cache, damaged / "cache")
-    library = only_file(copied)
-    library.write_bytes(library.read_bytes()[:size])
+    library_in(copied).write_bytes(content)
     found = output(start(damaged, package, NUMBA_CACHE_DIR=str(copied)))
     assert found == "the kernel cannot be compiled: damaged []"
 
 
 @pytest.mark.live
-def test_object_code_is_loaded_where_there_is_no_linker_and_compiled_each_time_without_a_folder(
-    package: Path, tmp_path: Path
+def test_object_code_is_loaded_where_there_is_no_linker_and_linked_where_there_is_one(
+    package: Path, tmp_path: Path, damaged: Path
 ) -> None:
+    """What numba prints is no part of it."""
+    cache = tmp_path / "linkless"
+    no_linker = {"CC": str(tmp_path / "missing"), "NUMBA_CACHE_DIR": str(cache), "NUMBA_DUMP_OPTIMIZED": "1"}
+    for libraries in ("['llvmlite']", "['llvmlite']"):
+        assert output(start(package, **no_linker)) == libraries
+    for _ in range(2):
+        assert output(start(damaged, package, NUMBA_CACHE_DIR=str(cache))) == LOADED
+
+
+@pytest.mark.live
+def test_without_a_folder_the_kernel_is_compiled_each_time(package: Path, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    process = start(package, CC=str(tmp_path / "missing"), NUMBA_CACHE_DIR=str(tmp_path / "file"))
-    assert output(process) == "['llvmlite']"
+    assert output(start(package, NUMBA_CACHE_DIR=str(tmp_path / "file"))) == LOADED
 
 
 @pytest.mark.skipif(IS_PLAIN, reason="Python has exceptions of its own")
@@ -213,7 +215,9 @@ def test_call_with_arrays_that_do_not_fit_each_other_is_an_error_as_in_python() 
 
 
 @pytest.mark.skipif(IS_PLAIN, reason="Python takes other arrays, too")
-@pytest.mark.parametrize("wrong", [np.zeros((1, 8), np.uint8), np.zeros(8), np.zeros(16, np.uint8)[::2]])
+@pytest.mark.parametrize(
+    "wrong", [np.zeros((1, 8), np.uint8), np.zeros(8), np.zeros(16, np.uint8)[::2], np.frombuffer(bytes(8), np.uint8)]
+)
 def test_array_of_another_type_is_refused(wrong: NDArray[Any]) -> None:
     with pytest.raises(TypeError, match=r"forget_all: must be uint8\[::1\], is"):
         forget_all(wrong, np.zeros(8, np.uint8))
