@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stop whenever the last permissive verdict of the monitor no longer holds; docs/consuming.md explains each case.
 
-    python examples/verdict_consumer.py [--timeout SECONDS]
+    python examples/verdict_consumer.py [--timeout SECONDS] [--ros-args -p use_sim_time:=true]
 
 Prints a line whenever the allowed speed changes. A robot controller would set its speed there.
 """
@@ -22,6 +22,7 @@ from rclpy.node import Node
 from rclpy.qos import LivelinessPolicy, QoSProfile
 from rclpy.task import Future
 from rclpy.time import Time
+from rclpy.utilities import remove_ros_args
 from scara_effmass_msgs.msg import ContactState, ContactStates
 
 
@@ -88,12 +89,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Print the changes until a signal comes."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--timeout", type=float, default=0.2, help="parameter `timeout` of the monitor [s]")
-    timeout_s = parser.parse_args(arguments).timeout
+    arguments = sys.argv[1:] if arguments is None else arguments
+    timeout_s = parser.parse_args(remove_ros_args([parser.prog, *arguments])[1:]).timeout
 
     def show(speed: float, reason: str) -> None:
         print(f"{time.time():.4f} {f'STOP: {reason}' if reason else f'{speed:.3f} m/s'}", flush=True)  # noqa: T201
 
-    rclpy.init(args=[])
+    rclpy.init(args=[*arguments])
     node = VerdictConsumer(timeout_s, show)
     executor = EventsExecutor()
     executor.add_node(node)

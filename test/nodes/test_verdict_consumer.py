@@ -5,6 +5,7 @@ import math
 import os
 import runpy
 import signal
+import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -167,3 +168,22 @@ def test_consumer_moves_only_while_the_last_message_allows_it(example: Example) 
         spin_until((0.3, ""), ContactState.OK, 0.3)
         assert time.monotonic() - alone_from >= 1.9 * TIMEOUT
         numbers = count(1)
+
+
+def test_consumer_takes_arguments_of_ros(own_domain: int) -> None:
+    """As --ros-args -p use_sim_time:=true beside a replay."""
+    command = [sys.executable, str(EXAMPLE), "--timeout", "0.3", "--ros-args", "-r", "__node:=follower"]
+    process = subprocess.Popen(command, env=os.environ | {"ROS_DOMAIN_ID": str(own_domain)})
+    rclpy.init(domain_id=own_domain, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        node = rclpy.create_node("observer")
+        end = time.monotonic() + TIMEOUT_S
+        while "follower" not in node.get_node_names():
+            assert time.monotonic() < end
+            assert process.poll() is None
+            rclpy.spin_once(node, timeout_sec=0.05)
+        node.destroy_node()
+    finally:
+        rclpy.try_shutdown()
+        process.send_signal(signal.SIGINT)
+        assert process.wait(TIMEOUT_S) == 0
