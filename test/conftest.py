@@ -15,6 +15,7 @@ import pytest
 from hypothesis import HealthCheck, Phase, settings
 
 from scara_effmass.cli.processes import DOMAINS, domain_is_free
+from scara_effmass.kernel import compiled
 
 # No deadline: the machine may be busy. The same examples in every run: a failure must be reproducible.
 settings.register_profile("reproducible", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
@@ -49,8 +50,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             items += part[len(part) * number // workers : len(part) * (number + 1) // workers]
 
 
-def pytest_collection_finish() -> None:
-    """Let the garbage collector skip what stays until the end: the imports and the collected tests."""
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Compile a kernel that has changed; let the garbage collector skip the imports and the collected tests."""
+    if not session.config.option.collectonly:
+        compiled.why_not()
     gc.freeze()
 
 

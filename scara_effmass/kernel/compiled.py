@@ -21,7 +21,7 @@ from functools import cached_property, partial, update_wrapper
 from importlib import import_module
 from itertools import takewhile
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import NamedTemporaryFile, TemporaryDirectory
 from typing import IO, Any, Generic, ParamSpec, TypeVar, cast
 
 import numpy as np
@@ -182,17 +182,15 @@ def _linked(library: bytes, folder: Path | None = None) -> bytes:
 
 
 def _open(library: bytes) -> Callable[[str], Any]:
-    """Load the library, not from its file: its folder may not be for programs. Raises OSError."""
+    """Load the library, not from where it is kept: that folder may not be for programs. Raises OSError."""
     if library[16] == _SHARED:
-        # Not that of os, which the Pythons of conda lack.
-        descriptor = ctypes.CDLL(None, use_errno=True).memfd_create(b"scara_effmass_kernel", 1)
-        if descriptor < 0:
-            raise OSError(ctypes.get_errno(), f"memfd_create: {os.strerror(ctypes.get_errno())}")
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(library)
-            file.flush()
-            # The loader knows libraries by name, and others load theirs from /proc/self.
-            return ctypes.CDLL(f"/proc/{os.getpid()}/fd/{descriptor}").__getitem__
+        with suppress(OSError, AttributeError):  # some systems forbid files in memory, some Pythons lack them
+            descriptor = os.memfd_create("scara_effmass_kernel")
+            with os.fdopen(descriptor, "wb") as file:
+                # The loader knows libraries by name, and others load theirs from /proc/self.
+                return _written(library, file, f"/proc/{os.getpid()}/fd/{descriptor}")
+        with NamedTemporaryFile(suffix=".so") as file:
+            return _written(library, file, file.name)
     binding: Any = import_module("llvmlite.binding")
     binding.initialize_native_target()
     binding.initialize_native_asmprinter()
@@ -201,6 +199,12 @@ def _open(library: bytes) -> Callable[[str], Any]:
     engine.add_object_file(binding.ObjectFileRef.from_data(library))
     engine.finalize_object()
     return lambda name: ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p)(engine.get_function_address(name))
+
+
+def _written(library: bytes, file: IO[bytes], path: str) -> Callable[[str], Any]:
+    file.write(library)
+    file.flush()
+    return ctypes.CDLL(path).__getitem__
 
 
 class Call:

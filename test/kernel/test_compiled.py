@@ -58,10 +58,10 @@ def copy(folder: Path) -> Path:
     return folder
 
 
-def start(*paths: Path, **environment: str) -> subprocess.Popen[str]:
+def start(*paths: Path, before: str = "", **environment: str) -> subprocess.Popen[str]:
     kept = {name: value for name, value in os.environ.items() if not name.startswith(("NUMBA_", "XDG_"))}
     return subprocess.Popen(
-        [sys.executable, "-c", CALL],
+        [sys.executable, "-c", before + CALL],
         cwd=paths[-1],
         env=kept | environment | {"PYTHONPATH": first(*paths)},
         stdout=subprocess.PIPE,
@@ -168,6 +168,13 @@ def test_library_is_compiled_once_for_all_installations_of_the_same_sources(
     for installation in (package, copy(tmp_path / "other")):
         assert output(start(damaged, installation, NUMBA_CACHE_DIR=str(cache))) == LOADED
     assert library_in(cache).stat().st_mtime_ns == kept
+
+
+@pytest.mark.live
+@pytest.mark.parametrize("before", ["import os; del os.memfd_create\n", "import os; os.memfd_create = os.listdir\n"])
+def test_library_is_loaded_where_no_file_can_be_made_in_memory(cache: Path, package: Path, before: str) -> None:
+    """As in the Pythons of conda, or forbidden by the system: then it is an OSError."""
+    assert output(start(package, before=before, NUMBA_CACHE_DIR=str(cache))) == LOADED
 
 
 def with_hash(content: bytes) -> bytes:
