@@ -215,16 +215,14 @@ def test_without_a_folder_the_kernel_is_compiled_each_time(package: Path, tmp_pa
     assert output(start(package, NUMBA_CACHE_DIR=str(tmp_path / "file"))) == LOADED
 
 
-@pytest.mark.skipif(IS_PLAIN, reason="Python has exceptions of its own")
 def test_call_with_arrays_that_do_not_fit_each_other_is_an_error_as_in_python() -> None:
-    with pytest.raises(KernelError, match="exception"):
+    with pytest.raises(ValueError if IS_PLAIN else KernelError):
         forget_all(np.zeros(3, np.uint8), np.zeros(3, np.uint8))
 
 
-@pytest.mark.skipif(IS_PLAIN, reason="Python takes other arrays, too")
 @pytest.mark.parametrize(
     "wrong", [np.zeros((1, 8), np.uint8), np.zeros(8), np.zeros(16, np.uint8)[::2], np.frombuffer(bytes(8), np.uint8)]
 )
 def test_array_of_another_type_is_refused(wrong: NDArray[Any]) -> None:
-    with pytest.raises(TypeError, match=r"forget_all: must be uint8\[::1\], is"):
+    with pytest.raises(ValueError if IS_PLAIN else TypeError, match=r"must be|dtype"):
         forget_all(wrong, np.zeros(8, np.uint8))
