@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from itertools import accumulate, chain, groupby, pairwise, zip_longest
 from pathlib import Path
@@ -177,7 +177,7 @@ def _compute(monitor: Monitor, parts: Sequence[_Part]) -> tuple[list[_Part], Flo
     firsts = list(accumulate((len(part.log_time_ns) for part in parts), initial=0))
     numbers = np.empty((firsts[-1], *parts[0].pending.numbers.shape[1:]))
     computed = [
-        part._replace(pending=part.pending._replace(numbers=numbers[first:stop]))
+        part._replace(pending=replace(part.pending, numbers=numbers[first:stop]))
         for part, (first, stop) in zip(parts, pairwise(firsts), strict=True)
     ]
     for part in computed:

@@ -61,6 +61,8 @@ RECORD = "report.json"
 PHOTO_TYPES = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg", ".webp": "webp", ".gif": "gif"}
 MAX_PHOTO_BYTES = 10_000_000
 """Size up to which a page holds a photo."""
+MISSING = "missing: "
+"""Prefix of the reasons that name a value to fill in."""
 MAX_CONTACT_S = 10.0
 """Time after the onset in which the force counts, unless another contact begins."""
 SPEED_TOLERANCE = 0.05
@@ -357,7 +359,7 @@ def _unknown_reasons(
         yield "simulated: nothing was measured on a robot"
     gaps = [*missing(identity, "identity."), *missing(test, f"tests.{test.id}.")]
     gaps += missing(instrument, f"instruments.{instrument.id}.") if instrument else ()
-    yield from (f"missing: {name}" for name in gaps)
+    yield from (f"{MISSING}{name}" for name in gaps)
     if identity.limits_hash not in {None, TABLE_HASH}:
         yield f"another table of limits: identity.limits_hash must be {TABLE_HASH}"
     if len(repetitions) < MIN_REPETITIONS:
@@ -433,7 +435,7 @@ def _device_reasons(protocol: Protocol, test: ContactTest) -> Iterator[str]:
             yield f"unknown instrument: {name}"
             continue
         if device is not instrument:
-            yield from (f"missing: instruments.{name}.{field}" for field in IDENTITY if getattr(device, field) is None)
+            yield from (f"{MISSING}instruments.{name}.{field}" for field in IDENTITY if getattr(device, field) is None)
         due, done = device.calibration_due, device.calibration_date
         if day and done and due and not done <= day <= due:
             yield f"not calibrated on the day of the test: {name}"
@@ -442,7 +444,7 @@ def _device_reasons(protocol: Protocol, test: ContactTest) -> Iterator[str]:
         yield f"not measured on identity.test_date: {', '.join(map(str, other_days))}"
     if instrument and instrument.fixed is False:
         if instrument.moving_mass_kg is None:
-            yield f"missing: instruments.{instrument.id}.moving_mass_kg"
+            yield f"{MISSING}instruments.{instrument.id}.moving_mass_kg"
         if point.contact is ContactType.QUASI_STATIC:
             yield f"clamping needs a fixed device: instruments.{instrument.id}.fixed must be true"
     if instrument and instrument.fixed is not None and instrument.stiffness_n_m:

@@ -15,6 +15,7 @@ from scara_effmass.analysis.output import atomic_file, check_output_files, check
 from scara_effmass.analysis.protocol import Plan, Protocol, Repetition, protocol_yaml, read_protocol
 from scara_effmass.analysis.protocol_evaluation import (
     MAX_CONTACT_S,
+    MISSING,
     RECORD,
     device_of,
     evaluated,
@@ -44,8 +45,6 @@ from scara_effmass.values import Verdict, at_least
 NOT_OK = 1
 MARK = b"tests:"
 """What a protocol holds."""
-MISSING = "missing: "
-"""Prefix of reasons that name a value to fill in."""
 GAPS_SHOWN = 3
 """Most missing values of a test point that are printed."""
 BASE_AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))

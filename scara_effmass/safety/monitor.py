@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from struct import Struct
 from typing import NamedTuple
@@ -22,7 +24,7 @@ from scara_effmass.kernel import compiled
 from scara_effmass.kernel.admission import METRES_PER_RADIAN, NANOSECONDS, WINDOW_S, admit, forget_all
 from scara_effmass.kernel.contact_kernel import ContactKernel, too_large
 from scara_effmass.kernel.other_joints import ELSEWHERE, MIN_SILENCE_NS, RESTS, UNREPORTED, Found, OtherJoints
-from scara_effmass.kernel.records import CONTACT, REASON_SIZE, IntArray
+from scara_effmass.kernel.records import CONTACT, REASON_SIZE, ByteArray, IntArray
 from scara_effmass.kernel.settle import settle
 from scara_effmass.kernel.state import (
     CODE,
@@ -78,12 +80,14 @@ class Cause(NamedTuple):
     reason: str
 
 
-class Pending(NamedTuple):
+@dataclass
+class Pending:
     """N joint states between two steps of the assessment.
 
     `records` (N,) are `State`s and `states` their bytes; `motions` (N, 6, n) are q, qd, tolerances of qd,
     accelerations, their errors, and the accelerations that stated ones replace, the first two also as `q` and `qd`;
-    `numbers` (N, P, fields) are those of the contacts, and `unknown` (fields,) those of a contact without numbers.
+    `numbers` (N, P, fields) are those of the contacts, and `unknown` (fields,) those of a contact without numbers;
+    `memory` are the bytes of Rules, Memory, JointMemory and Debounce. The steps of the kernel are bound to them once.
     """
 
     records: Records
@@ -95,14 +99,23 @@ class Pending(NamedTuple):
     kernel: ContactKernel | ReferenceChannel
     unknown: FloatArray
     texts: ReasonTexts
+    memory: tuple[ByteArray, ...]
 
+    @cached_property
+    def admit(self) -> Callable[[], None]:
+        """Admit or refuse the joint states."""
+        return admit.bind(self.states, self.motions, *self.memory[:3])
 
-class Calls(NamedTuple):
-    """The steps of the kernel with the arrays of the one joint state that comes live."""
+    @cached_property
+    def compute(self) -> Callable[[], None]:
+        """Compute the contacts at those that are admitted."""
+        return self.kernel.bind(self.states, self.motions, self.numbers)
 
-    admit: Callable[[], None]
-    compute: Callable[[], None]
-    settle: Callable[[], None]
+    @cached_property
+    def settle(self) -> Callable[[], None]:
+        """Debounce and latch the verdicts."""
+        rules, memory, _, debounces = self.memory
+        return settle.bind(self.states, self.numbers, self.unknown, rules, memory, debounces)
 
 
 class Monitor:
@@ -164,9 +177,9 @@ class Monitor:
         qd = np.cos(np.outer(np.arange(TRIALS) % 7, np.arange(1.0, q.shape[1] + 1.0)))
         rounds, turns = np.divmod(np.arange(TRIALS), len(self._points))
         trial.motions[:, 1] = qd * ((rounds + 1) % 3)[:, None]
-        rules, memory, joints, debounces = (array.copy() for array in self._memory_bytes)
+        trial.memory = tuple(array.copy() for array in self._memory_bytes)
         try:
-            admit(trial.states, trial.motions, rules, memory, joints)
+            trial.admit()
             trial.records["is_admitted"] = 1
             self.compute(trial)
             chosen = [slice(turn, turn + 1) for turn in turns.tolist()]
@@ -174,7 +187,7 @@ class Monitor:
                 self._reference.difference, trial.motions, trial.numbers, trial.records["age"].tolist(), chosen
             )
             field = next(filter(None, fields), "")
-            settle(trial.states, trial.numbers, trial.unknown, rules, memory, debounces)
+            trial.settle()
         except Exception as error:
             raise KernelError(f"the kernel does not run: {error!r}: set use_reference to do without it") from error
         if field and not self._why_reference:
@@ -239,9 +252,7 @@ class Monitor:
         self._normal = f"{settings.contact_normal} {settings.contact_normal_frame}".strip()
         self._points = self.dynamics.contact_points
         self._single = self._new_pending(1)
-        single = self._single
-        self._single_calls = Calls(self._bind_admit(single), self._bind_compute(single), self._bind_settle(single))
-        self._single_state, self._single_change = single.states.data, single.motions[:, 3]
+        self._single_state, self._single_change = self._single.states.data, self._single.motions[:, 3]
         if not self.load_watch.is_of(self.dynamics, settings):
             self.load_watch = LoadWatch(self.dynamics, settings)
 
@@ -506,13 +517,13 @@ class Monitor:
             is_stated = self._max_qdd >= np.abs(qdd) + errors  # a stated one counts in both directions
             pending.motions[:, 5] = np.where(is_stated, qdd, 0.0)
             errors[:], qdd[is_stated] = np.where(is_stated, self._max_qdd, errors), 0.0
-        (self._single_calls.compute if pending is self._single else self._bind_compute(pending))()
+        pending.compute()
 
     def settle(self, pending: Pending) -> Assessments:
         """Return the assessments of joint states that are computed, in the order of admission."""
         if pending.texts is not self._remembered_texts:
             self._restate(pending.texts)
-        (self._single_calls.settle if pending is self._single else self._bind_settle(pending))()
+        pending.settle()
         states, numbers = pending.states, pending.numbers
         if pending is self._single:
             states, numbers = states.copy(), numbers.copy()
@@ -568,17 +579,8 @@ class Monitor:
         numbers = np.empty((count, points, CONTACT.itemsize // 8))
         motions = np.zeros((count, 6, joints))
         states, q, qd = records.view(np.uint8), motions[:, 0], motions[:, 1]
-        return Pending(records, states, motions, q, qd, numbers, self._kernel, self._unknown, self._texts)
-
-    def _bind_admit(self, pending: Pending) -> Callable[[], None]:
-        return admit.bind(pending.states, pending.motions, *self._memory_bytes[:3])
-
-    def _bind_compute(self, pending: Pending) -> Callable[[], None]:
-        return pending.kernel.bind(pending.states, pending.motions, pending.numbers)
-
-    def _bind_settle(self, pending: Pending) -> Callable[[], None]:
-        rules, memory, _, debounces = self._memory_bytes
-        return settle.bind(pending.states, pending.numbers, pending.unknown, rules, memory, debounces)
+        kernel, unknown, texts, memory = self._kernel, self._unknown, self._texts, self._memory_bytes
+        return Pending(records, states, motions, q, qd, numbers, kernel, unknown, texts, memory)
 
     def _ignore(self, layout: Layout, clocks: IntArray, position: FloatArray, velocity: FloatArray) -> None:
         """Count joint states of other devices, and note which of their joints move."""
@@ -617,7 +619,7 @@ class Monitor:
                 pending.records["delay"], known = filtered
                 pending.records["reason"][~known, CODE] = Reason.LONE_POSITION
             self._refuse_unmodelled(pending.records, layout, position, velocity)
-        (self._single_calls.admit if pending is self._single else self._bind_admit(pending))()
+        pending.admit()
         if layout.reason is Reason.NONE:
             self._watch_load(pending, layout, effort)
 
