@@ -17,7 +17,7 @@ import sys
 from array import array
 from collections.abc import Callable
 from contextlib import suppress
-from functools import cached_property, partial, update_wrapper
+from functools import cache, cached_property, partial, update_wrapper
 from importlib import import_module
 from itertools import takewhile
 from pathlib import Path
@@ -80,24 +80,22 @@ def cache_folders() -> list[Path]:
 
 
 def why_not() -> str:
-    """Return why the kernel cannot be compiled; empty if it is, or is to stay plain Python."""
-    return _library()[1]
+    """Return why the kernel cannot be compiled; empty if it is, or is to stay plain Python. Later it is tried again."""
+    reason = _library()[1]
+    if reason:
+        _library.cache_clear()
+    return reason
 
 
-_LOADED: list[Callable[[str], Any]] = []
-"""What finds a function of the library by its name, once it is loaded."""
-
-
+@cache
 def _library() -> tuple[Callable[[str], Any] | None, str]:
-    """Return what finds a function of the library, or why there is none."""
-    if not _LOADED:
-        if os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
-            return None, ""
-        try:
-            _LOADED.append(_load())
-        except (OSError, AttributeError, KernelError) as error:
-            return None, f"the kernel cannot be compiled: {error}"
-    return _LOADED[0], ""
+    """Return what finds a function of the library by its name, or why there is none."""
+    if os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
+        return None, ""
+    try:
+        return _load(), ""
+    except (OSError, AttributeError, KernelError) as error:
+        return None, f"the kernel cannot be compiled: {error}"
 
 
 def _load() -> Callable[[str], Any]:
@@ -127,8 +125,13 @@ def _load_kept(folder: Path) -> Callable[[str], Any] | None:
     """Load the library in `folder`; None if there is none, or it is damaged or for another system."""
     with suppress(OSError):
         content = (folder / FILE).read_bytes()
-        if content[:32] == hashlib.sha256(content[32:]).digest():
-            return _open(_linked(content[32:], folder))
+        kept = content[32:]
+        if content[:32] == hashlib.sha256(kept).digest():
+            library = _linked(kept)
+            find = _open(library)
+            if library is not kept:
+                _keep(folder, library)
+            return find
     return None
 
 
@@ -166,8 +169,8 @@ def _keep(folder: Path, library: bytes) -> None:
             new.unlink(missing_ok=True)
 
 
-def _linked(library: bytes, folder: Path | None = None) -> bytes:
-    """Return the shared library of object code, kept in `folder`; without a linker, the object code."""
+def _linked(library: bytes) -> bytes:
+    """Return the shared library of object code; without a linker, the object code."""
     if library[16] == _SHARED:
         return library
     with suppress(OSError, ValueError, subprocess.CalledProcessError), TemporaryDirectory() as temporary:
@@ -175,9 +178,7 @@ def _linked(library: bytes, folder: Path | None = None) -> bytes:
         source.write_bytes(library)
         command = [*shlex.split(os.environ.get("CC") or "cc"), "-shared", "-Wl,-z,noexecstack"]
         subprocess.run([*command, "-o", linked, source, "-lm"], capture_output=True, check=True)  # noqa: S603
-        library = linked.read_bytes()
-        if folder:
-            _keep(folder, library)
+        return linked.read_bytes()
     return library
 
 
