@@ -255,7 +255,8 @@ def check(  # noqa: C901, PLR0911 - one check after the other
     if rules.expects_commands and check_command(state, motion[0], rules, memory, joints):
         return False
     for i in range(len(joints)):
-        motion[2, i] += motion[3, i]
+        if rules.filters_velocity:
+            motion[2, i] += motion[3, i]
         # One that reads zero has stopped: the estimate lags.
         motion[3, i] = joints[i].fast_acceleration if motion[1, i] != 0.0 else 0.0
         change = joints[i].fast_acceleration - joints[i].slow_acceleration

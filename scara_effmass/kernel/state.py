@@ -31,12 +31,12 @@ class State:
     stamp_ns: int
     now_ns: int
     sequence: int
+    reason: ReasonArray
     is_admitted: int
     is_cleared: int
     is_watchdog: int
     age: float
     delay: float
-    reason: ReasonArray
     verdict: int
     contact: int
     allowable_speed: float
@@ -48,8 +48,8 @@ class State:
 class Rules:
     """Settings of admission, debouncing and latch.
 
-    `distrusted_code` and `distrusted_detail`: the reason why an input is not trusted, 0 if all are. `is_assumed`: an
-    assumption allows no OK.
+    `filters_velocity`: qd is filtered. `distrusted_code` and `distrusted_detail`: the reason why an input is not
+    trusted, 0 if all are. `is_assumed`: an assumption allows no OK.
     """
 
     timeout_ns: int
@@ -57,6 +57,7 @@ class Rules:
     clock_step_ns: int
     velocity_tolerance: float
     max_lag: float
+    filters_velocity: bool
     expects_commands: bool
     distrusted_code: int
     distrusted_detail: int

@@ -131,7 +131,7 @@ class MonitorNode(RobotNode[NodeSettings]):
             (Float64, topics.SPEED_SCALING, scalar_qos),
         ):
             self._outputs[topic] = self.create_owned_publisher(message_type, topic, topic_qos)
-        self._estimates = self.create_owned_publisher(PayloadEstimate, topics.PAYLOAD_ESTIMATE, topics.DESCRIPTION_QOS)
+        self._estimates = self.create_owned_publisher(PayloadEstimate, topics.PAYLOAD_ESTIMATE, topics.INFO_QOS)
         self._diagnostics = Diagnostics(self, self._statuses)
         self._joint_states = self.create_owned_subscription(
             JointState,

@@ -148,15 +148,15 @@ class JointStateAdapter:
         return NONE, (0.0, 0.0)
 
     def filter(
-        self, layout: Layout, stamps: NDArray[np.int64], motions: FloatArray
+        self, layout: Layout, records: NDArray[np.void], motions: FloatArray
     ) -> tuple[FloatArray, NDArray[np.bool_]] | None:
-        """Filter the velocities of N joint states as `VelocityWindow.apply`; None where they count as reported."""
+        """Filter the velocities of N `State`s as `VelocityWindow.apply`; None where they count as reported."""
         if self._window is None:
             return None
         if layout.names != self._filtered_names:
             self._window.reset()
             self._filtered_names = layout.names
-        return self._window.apply(stamps, motions)
+        return self._window.apply(records["stamp_ns"], motions)
 
     def _layout_of(self, reported: tuple[str, ...]) -> Layout:  # noqa: PLR0911 - one check after the other
         names, problem = self._renamed(reported)

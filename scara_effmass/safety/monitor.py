@@ -64,11 +64,8 @@ HELD_REASONS = {ELSEWHERE: Reason.HELD_ELSEWHERE, UNREPORTED: Reason.HELD_UNREPO
 """Reasons of joints that the model holds, by their state, besides UNMODELLED_MOTION."""
 PAYLOAD, COMMANDS = "payload", "joint_commands"
 """Inputs that can be distrusted, beside those of the node."""
-HEAD, REASON = Struct("3q"), Struct(f"{REASON_SIZE}d")
-"""Layout of the first three fields of a State, and of its reason."""
-NO_NUMBERS = (0.0,) * (REASON_SIZE - DETAIL - 1)
-REASON_AT: int = (STATE.fields or {"reason": (STATE, 0)})["reason"][1]
-REASON_BYTES, NO_REASON = slice(REASON_AT, REASON_AT + REASON.size), bytes(REASON.size)
+HEAD, REASON = Struct(f"3q{REASON_SIZE * 8}x"), Struct(f"3q{DETAIL + 1}d{(REASON_SIZE - DETAIL - 1) * 8}x")
+"""Layout of the first fields of a State: two times and a number, without a reason and with its first values."""
 
 
 class Cause(NamedTuple):
@@ -217,6 +214,7 @@ class Monitor:
         self._use_dynamics()
         robot, rules, joints = self.dynamics.robot, self._rules, self._joints
         rules["timeout_ns"] = round(settings.timeout * NANOSECONDS)
+        rules["filters_velocity"] = settings.filters_velocity
         rules["velocity_tolerance"], rules["max_lag"] = settings.velocity_tolerance, settings.max_velocity_lag
         rules["release_ns"] = round(settings.release_time * NANOSECONDS)
         rules["latches"], rules["reference_speed"] = settings.latch, settings.reference_speed
@@ -252,7 +250,7 @@ class Monitor:
         self._normal = f"{settings.contact_normal} {settings.contact_normal_frame}".strip()
         self._points = self.dynamics.contact_points
         self._single = self._new_pending(1)
-        self._single_state, self._single_change = self._single.states.data, self._single.motions[:, 3]
+        self._single_state = self._single.states.data
         if not self.load_watch.is_of(self.dynamics, settings):
             self.load_watch = LoadWatch(self.dynamics, settings)
 
@@ -448,13 +446,11 @@ class Monitor:
             return None
         pending, data = self._single, self._single_state
         number = NO_SEQUENCE if sequence_number is None else sequence_number
-        HEAD.pack_into(data, 0, state.stamp_ns, now_ns, number)
         if layout.reason is Reason.NONE:
-            data[REASON_BYTES] = NO_REASON
+            HEAD.pack_into(data, 0, state.stamp_ns, now_ns, number)
         else:
             detail = self._detail(layout.detail)
-            REASON.pack_into(data, REASON_BYTES.start, layout.reason, layout.joint, detail, *NO_NUMBERS)
-        self._single_change.fill(0.0)
+            REASON.pack_into(data, 0, state.stamp_ns, now_ns, number, layout.reason, layout.joint, detail)
         self._read(pending, layout, state.position, state.velocity, state.effort)
         self.compute(pending)
         self._until_check -= 1
@@ -615,7 +611,7 @@ class Monitor:
             reason, values = self._adapter.read(layout, position, velocity, pending.q, pending.qd)
             if reason is not Reason.NONE:
                 pending.records["reason"][:, [CODE, VALUES, VALUES + 1]] = reason, *values
-            elif (filtered := self._adapter.filter(layout, pending.records["stamp_ns"], pending.motions)) is not None:
+            elif (filtered := self._adapter.filter(layout, pending.records, pending.motions)) is not None:
                 pending.records["delay"], known = filtered
                 pending.records["reason"][~known, CODE] = Reason.LONE_POSITION
             self._refuse_unmodelled(pending.records, layout, position, velocity)

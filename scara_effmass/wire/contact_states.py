@@ -75,7 +75,7 @@ class ContactStatesEncoder:
     def encode(self, assessments: Assessments, row: int = 0) -> bytes:
         """Return the CDR bytes of the next message, that of joint state number `row`."""
         state, contacts = assessments.states[row].tolist(), assessments.numbers[row]
-        stamp_ns, _, _, is_admitted, _, watchdog, age, delay, _, verdict, worst, allowable_speed, scaling, _ = state
+        stamp_ns, _, _, _, is_admitted, _, watchdog, age, delay, verdict, worst, allowable_speed, scaling, _ = state
         # The bytes of verdicts, codes and reasons stand for their texts, which those of the settings complete.
         codes = contacts[:, _VALUES_SIZE:].tobytes()
         normal = assessments.normal if is_admitted else ""

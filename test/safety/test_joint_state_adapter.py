@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from scara_effmass.codes import Reason
 from scara_effmass.errors import SettingsError
+from scara_effmass.kernel.state import STATE
 from scara_effmass.model.description import HeldJoint
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
@@ -69,8 +70,10 @@ def velocities(
 ) -> tuple[FloatArray, FloatArray, float, bool]:
     """Return the filtered velocity of a joint state, its change within the delay, the delay, and if there is one."""
     layout, motions = adapter.layout(names), np.zeros((1, 6, len(JOINTS)))
+    records = np.zeros(1, STATE)
+    records["stamp_ns"] = stamp_ns
     assert adapter.read(layout, position, velocity, motions[:, 0], motions[:, 1]) == (Reason.NONE, (0.0, 0.0))
-    filtered = adapter.filter(layout, np.array([stamp_ns]), motions)
+    filtered = adapter.filter(layout, records, motions)
     delays, known = (np.zeros(1), np.ones(1, bool)) if filtered is None else filtered
     return motions[0, 1], motions[0, 3], float(delays[0]), bool(known[0])
 
