@@ -236,7 +236,7 @@ def drive_acceleration(count: int, setup: Setup, work: Work) -> float:
     """Return an upper bound [m/s2] of the acceleration of the point under the effort limits; infinite if unknown."""
     largest = 0.0
     for j in range(setup.joints):
-        if setup.effort[j] == math.inf:
+        if setup.effort[j] == math.inf or abs(work.gravity[j]) > setup.effort[j]:
             return math.inf
     for k in range(2):
         if setup.has_full if k == Model.FULL else setup.has_lumped:

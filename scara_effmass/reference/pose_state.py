@@ -243,15 +243,20 @@ class ContactState:
         """Return an upper bound [m/s2] of the acceleration of the point under the effort limits of the joints.
 
         That is sum_i |J_v M^-1 e_i| (tau_max,i + |g_i(q)|) in the model with the larger sum; infinite if an effort
-        limit is unknown. Gravity acts along -z of the base.
+        limit is unknown, or below the gravity effort of its joint. Gravity acts along -z of the base.
         """
         effort = self.state.dynamics.robot.effort_limits + np.abs(self.state.gravity)
-        if not np.isfinite(effort).all():
+        if not np.isfinite(effort).all() or not self._carries_weight:
             return math.inf
         inverses = self.state.inverse_mass_matrix.values()
         return max(
             (float(np.linalg.norm(self.jacobian @ inverse, axis=0) @ effort) for inverse in inverses), default=math.inf
         )
+
+    @property
+    def _carries_weight(self) -> bool:
+        """Whether no effort limit is below the gravity effort of its joint: it cannot be that of the drive."""
+        return bool((np.abs(self.state.gravity) <= self.state.dynamics.robot.effort_limits).all())
 
     def static_forces(self, directions: Sequence[FloatArray]) -> list[float]:
         """Return the largest static force [N] along each unit vector in which a joint pushes.
@@ -272,10 +277,9 @@ class ContactState:
     def clamping_force(self, directions: Sequence[FloatArray]) -> float:
         """Return the largest of the `static_forces` [N] along `directions`, 0 if no joint pushes.
 
-        Infinite if no loaded joint has an effort limit, or if a limit is below the gravity effort of its joint: such a
-        limit cannot be that of the drive.
+        Infinite if no loaded joint has an effort limit, or if a limit is below the gravity effort of its joint.
         """
-        if (np.abs(self.state.gravity) > self.state.dynamics.robot.effort_limits).any():
+        if not self._carries_weight:
             return math.inf
         return max([0.0, *self.static_forces(directions)])
 

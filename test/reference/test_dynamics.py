@@ -585,6 +585,7 @@ class TestEffortLimits:
         dynamics.robot.model.effortLimit = np.array([50.0, 30.0, share * abs(weight), 10.0])
         for n in (np.eye(3)[0], np.eye(3)[2]):
             assert (dynamics.at(q).contacts[0].clamping_force([n]) < math.inf) == (share > 1.0)
+        assert (dynamics.at(q).contacts[0].drive_acceleration() < math.inf) == (share > 1.0)
 
     def test_unknown_effort_limit_bounds_nothing(self, omron_dynamics: RobotDynamics) -> None:
         (contact,) = omron_dynamics.at(np.array([0.3, 1.1, 0.1, 0.2])).contacts
