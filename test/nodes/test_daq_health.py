@@ -13,7 +13,7 @@ from scara_effmass.daq.acquisition import Acquisition, AcquisitionState
 from scara_effmass.daq.conditioning import SignalConditioner
 from scara_effmass.daq.source import Reading
 from scara_effmass.impacts.detector import Detector
-from scara_effmass.nodes.daq_health import daq_statuses
+from scara_effmass.nodes.daq_node import daq_statuses
 from scara_effmass.settings import DaqSettings, checked
 from test.daq.force_bag import force_block, write_blocks
 
