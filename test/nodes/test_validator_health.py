@@ -10,7 +10,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from scara_effmass.cell.status import left_out_entry
 from scara_effmass.impacts.validator import Validator
-from scara_effmass.nodes.validator_health import series_status
+from scara_effmass.nodes.validator_node import series_status
 from scara_effmass.settings import ValidatorSettings
 from scara_effmass.values import Impact
 
