@@ -19,7 +19,7 @@ from scara_effmass_msgs.msg import ContactState, ContactStates
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
-from scara_effmass.nodes.qos import qos_profile
+from scara_effmass.nodes.ros import qos_profile
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.wire.topics import SCALAR_LIFESPAN_S, verdict_qos
 

@@ -16,8 +16,7 @@ from sensor_msgs.msg import JointState
 
 from scara_effmass.cell.status import DEFAULT_TIMEOUT_NS, CellStatus, Diagnostic, LoadSample, Validation
 from scara_effmass.errors import DecodeError
-from scara_effmass.nodes.client import ClientNode
-from scara_effmass.nodes.qos import qos_profile
+from scara_effmass.nodes.ros import ClientNode, qos_profile
 from scara_effmass.values import Decision
 from scara_effmass.wire import topics
 from scara_effmass.wire.cdr import NS

@@ -11,9 +11,9 @@ from foxglove import Channel, Schema
 from scara_effmass.bags.definitions import definition_of, known_types
 from scara_effmass.errors import SettingsError
 from scara_effmass.nodes import parameters
-from scara_effmass.nodes.client import ClientNode
 from scara_effmass.nodes.origin_guard import OriginGuard
 from scara_effmass.nodes.record import TopicRecorder, resolve_topic
+from scara_effmass.nodes.ros import ClientNode
 from scara_effmass.settings.loading import FrozenSettings
 from scara_effmass.wire.topics import FORCE_OUTPUTS, RECORDED
 

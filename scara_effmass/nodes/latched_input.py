@@ -7,7 +7,8 @@ from typing import Any
 from rclpy.event_handler import QoSSubscriptionMatchedInfo
 from rclpy.qos import QoSCompatibility, qos_check_compatible
 
-from scara_effmass.nodes.lifecycle import AnyNode, with_info
+from scara_effmass.nodes.lifecycle import AnyNode
+from scara_effmass.nodes.ros import with_info
 from scara_effmass.wire.topics import Qos
 
 _CHECK_S = 0.1

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import ExitStack, contextmanager, suppress
-from functools import partial, wraps
+from functools import partial
 from itertools import pairwise
 from typing import Any, Generic, TypeVar
 
@@ -20,7 +20,6 @@ import rclpy
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import Log, SetParametersResult
 from rclpy.clock import Clock, ClockType
-from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.event_handler import (
     PublisherEventCallbacks,
@@ -33,7 +32,6 @@ from rclpy.executors import Executor
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher, State, TransitionCallbackReturn
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import (
     QoSCompatibility,
@@ -51,12 +49,19 @@ from std_srvs.srv import Trigger
 from scara_effmass.codes import Reason
 from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.nodes import parameters
-from scara_effmass.nodes.client import ignoring_late_events
 from scara_effmass.nodes.parameters import Parameters
-from scara_effmass.nodes.process import END_SIGNALS, catch, one_line, start_refusal, start_ros
-from scara_effmass.nodes.qos import qos_profile
 from scara_effmass.nodes.readiness import PERIOD_S, readiness_reporter
-from scara_effmass.nodes.realtime import use_realtime
+from scara_effmass.nodes.ros import (
+    END_SIGNALS,
+    ClientNode,
+    catch,
+    ignoring_late_events,
+    one_line,
+    qos_profile,
+    start_refusal,
+    start_ros,
+    use_realtime,
+)
 from scara_effmass.settings.loading import READ_ONLY, flat_fields
 from scara_effmass.streams import open_standard_streams
 from scara_effmass.wire.topics import INFO_QOS, Qos
@@ -399,16 +404,6 @@ class LifecycleBase(LifecycleNode, Generic[Parameters]):
 AnyNode = LifecycleBase[Any]
 
 
-def with_info(callback: Callable[[bytes, dict[str, Any]], None]) -> Callable[..., None]:
-    """Return `callback` for any executor: the EventsExecutor of rclpy 7.1 passes message and info as one tuple."""
-
-    @wraps(callback)
-    def receive(*received: Any) -> None:  # noqa: ANN401
-        callback(*(received if len(received) > 1 else received[0]))
-
-    return receive
-
-
 def run(name: str, node_class: Callable[[], AnyNode], args: Sequence[str] | None = None) -> int:
     """Run the node `name` until a signal ends it. Return 0, or 2 with one line on stderr and /rosout after an error.
 
@@ -564,12 +559,8 @@ def _on_signal(stop: Callable[[int], None]) -> Iterator[None]:
 
 def _log_refusal(name: str, error: EffmassError, arguments: list[str]) -> None:
     """Publish `error` on /rosout for the node `name`, which may not exist; wait up to 2 s for a subscriber."""
-    with ExitStack() as stack:
-        context = Context()
-        stack.callback(context.try_shutdown)
-        start_ros(arguments, context)
-        node = Node(name, context=context, start_parameter_services=False, enable_rosout=False)
-        stack.callback(node.destroy_node)
+    with ClientNode(name, arguments) as client:
+        node = client.node
         publisher = node.create_publisher(Log, "/rosout", qos_profile(INFO_QOS))
         end = time.monotonic() + _ROSOUT_WAIT_S
         while not publisher.get_subscription_count() and time.monotonic() < end:

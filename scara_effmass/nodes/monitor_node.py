@@ -29,7 +29,7 @@ from scara_effmass.kernel.state import CODE
 from scara_effmass.model.robot import Robot
 from scara_effmass.nodes.diagnostics import Diagnostics, no_publisher, status
 from scara_effmass.nodes.latched_input import LatchedInput
-from scara_effmass.nodes.lifecycle import RCLError, run, with_info
+from scara_effmass.nodes.lifecycle import RCLError, run
 from scara_effmass.nodes.monitor_health import (
     Latencies,
     cause_text,
@@ -38,8 +38,8 @@ from scara_effmass.nodes.monitor_health import (
     model_status,
     worst_contacts,
 )
-from scara_effmass.nodes.overload import is_late, newest_waiting, received_ns
 from scara_effmass.nodes.robot_input import NO_DESCRIPTION, RobotNode, RobotParameters, label
+from scara_effmass.nodes.ros import is_late, newest_waiting, received_ns, with_info
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Assessments, Cause, Monitor, unknown_assessments
 from scara_effmass.safety.assumptions import RULES, deciding_mass, name_of

@@ -14,7 +14,7 @@ from rclpy.node import Node
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from scara_effmass_msgs.msg import NodeReadiness
 
-from scara_effmass.nodes.qos import qos_profile
+from scara_effmass.nodes.ros import qos_profile
 from scara_effmass.wire.topics import CLIENT_QOS, READINESS
 
 PERIOD_S = 0.1

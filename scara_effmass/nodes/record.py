@@ -23,10 +23,8 @@ from scara_effmass.bags.recorder import BagRecorder, MessageSink, RecorderOption
 from scara_effmass.bags.writer import qos_yaml
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.nodes import parameters
-from scara_effmass.nodes.client import ClientNode, spin_for
 from scara_effmass.nodes.hang_guard import HangGuard
-from scara_effmass.nodes.lifecycle import with_info
-from scara_effmass.nodes.qos import qos_profile
+from scara_effmass.nodes.ros import ClientNode, one_line, qos_profile, spin_for, with_info
 from scara_effmass.nodes.sequence_gaps import SequenceGaps
 from scara_effmass.settings.loading import FrozenSettings
 from scara_effmass.wire.message_types import message_class, message_definition
@@ -129,8 +127,7 @@ def resolve_topic(node: Node, topic: str) -> str:
     try:
         return str(node.resolve_topic_name(topic))
     except (InvalidTopicNameException, RuntimeError, ValueError) as error:
-        reason = " ".join(str(error).split()).partition(", at /")[0]
-        raise SettingsError(f"record: topic {topic!r}: {reason}") from None
+        raise SettingsError(f"record: topic {topic!r}: {one_line(error)}") from None
 
 
 @final

@@ -21,9 +21,9 @@ from scara_effmass.bags.bag import Bag, RawMessage
 from scara_effmass.bags.batches import MAX_TIME_NS
 from scara_effmass.bags.files import open_bag
 from scara_effmass.errors import EffmassError, SettingsError
-from scara_effmass.nodes.client import ClientNode
 from scara_effmass.nodes.readiness import ReadinessReports
 from scara_effmass.nodes.replay_topics import JOINT_STATES, ReplayPublisher, in_namespace, replay_publishers
+from scara_effmass.nodes.ros import ClientNode
 from scara_effmass.wire.topics import CLOCK
 
 CLOCK_STEP_NS = 10_000_000

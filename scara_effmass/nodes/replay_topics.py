@@ -10,7 +10,7 @@ from rclpy.node import Node
 
 from scara_effmass.bags.bag import Bag
 from scara_effmass.errors import BagError, SettingsError
-from scara_effmass.nodes.qos import qos_profile
+from scara_effmass.nodes.ros import qos_profile
 from scara_effmass.wire import topics as wire_topics
 from scara_effmass.wire.message_types import message_class
 from scara_effmass.wire.topics import CLOCK, STREAM_QOS

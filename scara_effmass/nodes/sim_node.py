@@ -13,7 +13,7 @@ from scara_effmass import values
 from scara_effmass.errors import SettingsError
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.lifecycle import LifecycleBase, run
-from scara_effmass.nodes.qos import qos_profile
+from scara_effmass.nodes.ros import qos_profile
 from scara_effmass.settings.loading import fixed
 from scara_effmass.sim.experiment import ImpactSetup, LiveSim
 from scara_effmass.wire import topics

@@ -21,9 +21,9 @@ from scara_effmass.cell.speed_scaling import SpeedScaler
 from scara_effmass.codes import Reason
 from scara_effmass.errors import DecodeError
 from scara_effmass.nodes.diagnostics import Diagnostics, status
-from scara_effmass.nodes.lifecycle import LifecycleBase, run, with_info
-from scara_effmass.nodes.overload import is_late, newest_waiting
+from scara_effmass.nodes.lifecycle import LifecycleBase, run
 from scara_effmass.nodes.parameters import NodeParameters
+from scara_effmass.nodes.ros import is_late, newest_waiting, with_info
 from scara_effmass.safety.reasons import plain_text
 from scara_effmass.settings.loading import fixed
 from scara_effmass.wire import topics

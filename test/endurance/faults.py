@@ -40,7 +40,7 @@ from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.repair import repair
 from scara_effmass.errors import DecodeError
 from scara_effmass.nodes.cell_client import CellClient
-from scara_effmass.nodes.qos import qos_profile
+from scara_effmass.nodes.ros import qos_profile
 from scara_effmass.safety import unknown_contact
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import Impact as ImpactValue

@@ -22,7 +22,7 @@ from scara_effmass_msgs.msg import (
 
 from scara_effmass.cell.status import CellStatus
 from scara_effmass.nodes.cell_client import CellClient
-from scara_effmass.nodes.qos import qos_profile
+from scara_effmass.nodes.ros import qos_profile
 from scara_effmass.safety import unknown_contact
 from scara_effmass.values import Decision, Verdict
 from scara_effmass.wire import topics

@@ -17,9 +17,9 @@ from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from std_msgs.msg import String
 
-from scara_effmass.nodes.client import spin_for
 from scara_effmass.nodes.lifecycle import LifecycleBase
 from scara_effmass.nodes.parameters import NodeParameters
+from scara_effmass.nodes.ros import spin_for
 from test.nodes.conftest import ros_node
 
 

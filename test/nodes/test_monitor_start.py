@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from scara_effmass.errors import SettingsError
-from scara_effmass.nodes.client import ClientNode
 from scara_effmass.nodes.monitor_node import MonitorNode
+from scara_effmass.nodes.ros import ClientNode
 from scara_effmass.share import share
 from test.nodes.conftest import MONITOR_NODE, NodeHarness
 

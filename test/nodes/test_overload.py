@@ -5,7 +5,7 @@ from collections import deque
 
 import pytest
 
-from scara_effmass.nodes.overload import newest_waiting
+from scara_effmass.nodes.ros import newest_waiting
 
 
 @pytest.mark.parametrize(

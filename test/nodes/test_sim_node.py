@@ -15,7 +15,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
 from scara_effmass.nodes import sim_node
-from scara_effmass.nodes.client import spin_for
+from scara_effmass.nodes.ros import spin_for
 from scara_effmass.nodes.sim_node import SimNode
 from test.nodes.conftest import DEEP_QOS, TIMEOUT_S, NodeHarness, ros_node, stamp_ns
 

@@ -21,7 +21,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from scara_effmass_msgs.msg import ContactState, ContactStates
 
 from scara_effmass.cell.scaled_trajectory import ScaledTrajectory
-from scara_effmass.nodes.qos import qos_profile
+from scara_effmass.nodes.ros import qos_profile
 from scara_effmass.sim.motion import sample_moves
 from scara_effmass.studies.shipped_bags import tour_moves
 from scara_effmass.wire.joint_state import joint_state_message

@@ -18,10 +18,10 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from scara_effmass.codes import Reason
-from scara_effmass.nodes.client import spin_for
 from scara_effmass.nodes.latched_input import LatchedInput
 from scara_effmass.nodes.lifecycle import LifecycleBase
 from scara_effmass.nodes.parameters import NodeParameters
+from scara_effmass.nodes.ros import spin_for
 from scara_effmass.wire.topics import DESCRIPTION_QOS
 from test.nodes.conftest import Answer, NodeHarness, joint_state, ros_node
 from test.nodes.test_monitor_node import ACCEPT_ALL, INFO, TWO_LINKS

@@ -21,7 +21,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from scara_effmass_msgs.msg import ContactState, ContactStates
 
-from scara_effmass.nodes.qos import qos_profile
+from scara_effmass.nodes.ros import qos_profile
 from scara_effmass.wire import topics
 from test.nodes.conftest import TIMEOUT_S, NodeHarness, Q, joint_state
 
