@@ -37,7 +37,7 @@ from scara_effmass.cli.console import live_status, print_lines, print_result, pr
 from scara_effmass.cli.options import load_dynamics, monitor_settings
 from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.nodes.cell_client import CellClient
-from scara_effmass.nodes.replay_topics import JOINT_STATES
+from scara_effmass.nodes.replay import JOINT_STATES
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import DetectionSettings, ImportSettings, MonitorSettings, ValidatorSettings
 from scara_effmass.values import Decision, Verdict

@@ -15,10 +15,10 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from scara_effmass_msgs.msg import NodeReadiness
 
 from scara_effmass.nodes.ros import qos_profile
+from scara_effmass.wire.cdr import NS
 from scara_effmass.wire.topics import CLIENT_QOS, READINESS
 
 PERIOD_S = 0.1
-_NS = 1_000_000_000
 
 
 def node_names(endpoints: Iterable[TopicEndpointInfo]) -> set[str]:
@@ -83,7 +83,7 @@ def _reason(report: NodeReadiness, clock_ns: int, consumers: set[str]) -> str:
     """Return why the sender of `report` is not ready, empty if it is."""
     if not report.active:
         return "is not active"
-    if report.use_sim_time and report.header.stamp.sec * _NS + report.header.stamp.nanosec != clock_ns:
+    if report.use_sim_time and report.header.stamp.sec * NS + report.header.stamp.nanosec != clock_ns:
         return "has not received the replay's /clock"
     missing = consumers.difference(report.peers)
     return f"has not discovered {', '.join(sorted(missing))}" if missing else ""

@@ -8,23 +8,29 @@ clock and then seems up to 10 ms newer than the clock; the monitor's `future_tol
 
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain, islice
 from pathlib import Path
+from typing import Any
 
 from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Inertia
 from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks, QoSPublisherMatchedInfo
+from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 
 from scara_effmass.bags.bag import Bag, RawMessage
 from scara_effmass.bags.batches import MAX_TIME_NS
 from scara_effmass.bags.files import open_bag
-from scara_effmass.errors import EffmassError, SettingsError
+from scara_effmass.errors import BagError, EffmassError, SettingsError
 from scara_effmass.nodes.readiness import ReadinessReports
-from scara_effmass.nodes.replay_topics import JOINT_STATES, ReplayPublisher, in_namespace, replay_publishers
-from scara_effmass.nodes.ros import ClientNode
-from scara_effmass.wire.topics import CLOCK
+from scara_effmass.nodes.ros import ClientNode, qos_profile
+from scara_effmass.wire import topics as wire_topics
+from scara_effmass.wire.cdr import NS
+from scara_effmass.wire.message_types import message_class
+from scara_effmass.wire.topics import CLOCK, STREAM_QOS
 
 CLOCK_STEP_NS = 10_000_000
 """Maximum recorded time between two clock messages."""
@@ -36,7 +42,18 @@ _ACKNOWLEDGEMENT_NS = 10_000_000_000
 _ACKNOWLEDGEMENT_STEP_NS = 100_000_000
 _HANDSHAKE_STEP_NS = 50_000_000
 _PROGRESS_NS = 100_000_000
-_NS = 1_000_000_000
+JOINT_STATES = f"/{wire_topics.JOINT_STATES}"
+NODE_OUTPUTS = {
+    *wire_topics.MONITOR_OUTPUTS,
+    *wire_topics.FORCE_OUTPUTS,
+    wire_topics.IMPACT_VALIDATION,
+    wire_topics.DIAGNOSTICS.removeprefix("/"),
+}
+"""Outputs of the live nodes, in any namespace, which are replayed only on request. `daq_node` plays recorded force."""
+SHARED = {"/tf", "/tf_static", wire_topics.DIAGNOSTICS}
+"""Topics that keep their names in every namespace."""
+LATCHED = {"tf_static", wire_topics.ROBOT_DESCRIPTION, wire_topics.RUN_INFO}
+"""Topics whose last message late subscribers receive, as with all payloads."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,13 +160,13 @@ class _Player:
         self._bag = bag
         self._client = client
         self._on_progress = on_progress
-        self._start_ns = bag.start_ns + round(min(options.start_s * _NS, float(MAX_TIME_NS)))
+        self._start_ns = bag.start_ns + round(min(options.start_s * NS, float(MAX_TIME_NS)))
         if self._start_ns > bag.end_ns:
-            rule = f"must be within the {bag.duration_ns / _NS:.3f} s recorded"
+            rule = f"must be within the {bag.duration_ns / NS:.3f} s recorded"
             raise SettingsError(f"{bag.path}: start = {options.start_s} s: {rule}")
         self._stop_ns = MAX_TIME_NS
-        if options.duration_s < (MAX_TIME_NS - self._start_ns) / _NS:
-            self._stop_ns = self._start_ns + round(options.duration_s * _NS)
+        if options.duration_s < (MAX_TIME_NS - self._start_ns) / NS:
+            self._stop_ns = self._start_ns + round(options.duration_s * NS)
         self._end_ns = min(self._stop_ns, bag.end_ns)
         self.report = ReplayReport()
         self.publishers, self.report.skipped = replay_publishers(
@@ -180,8 +197,8 @@ class _Player:
             try:
                 self._play_pass(messages, pass_start_ns)
             finally:
-                report.wall_s += (time.monotonic_ns() - pass_start_ns) / _NS
-                report.replayed_s += (self._now_ns - self._start_ns) / _NS
+                report.wall_s += (time.monotonic_ns() - pass_start_ns) / NS
+                report.replayed_s += (self._now_ns - self._start_ns) / NS
         report.unacknowledged = self._wait_acknowledged()
 
     def _wait_until_ready(self) -> None:
@@ -194,7 +211,7 @@ class _Player:
             now_ns = time.monotonic_ns()
             if unready := self._unready():
                 ready_since_ns = now_ns
-                if now_ns - start_ns > timeout_s * _NS:
+                if now_ns - start_ns > timeout_s * NS:
                     raise EffmassError(f"not ready within {timeout_s:g} s: {unready}")
             elif now_ns - ready_since_ns >= min(max(SETTLING_NS, ready_since_ns - start_ns), MAX_SETTLING_NS):
                 return
@@ -216,7 +233,7 @@ class _Player:
             self._spin_until(due_ns)
             lateness_ns = time.monotonic_ns() - due_ns
             self.report.late += lateness_ns > LATE_NS
-            self.report.worst_lateness_s = max(self.report.worst_lateness_s, lateness_ns / _NS)
+            self.report.worst_lateness_s = max(self.report.worst_lateness_s, lateness_ns / NS)
             self._now_ns = time_ns
             if time_ns != clock_ns:
                 clock_ns = time_ns
@@ -226,12 +243,12 @@ class _Player:
             self._report_progress()
 
     def _set_clock(self, time_ns: int) -> None:
-        sec, nanosec = divmod(time_ns, _NS)
+        sec, nanosec = divmod(time_ns, NS)
         self._clock.send(Clock(clock=Time(sec=sec, nanosec=nanosec)))
 
     def _spin_until(self, deadline_ns: int) -> None:
         """Handle events until the monotonic clock shows `deadline_ns`; a signal interrupts."""
-        self._client.spin_for((deadline_ns - time.monotonic_ns()) / _NS)
+        self._client.spin_for((deadline_ns - time.monotonic_ns()) / NS)
         if self._client.signals:
             raise KeyboardInterrupt
 
@@ -256,6 +273,108 @@ class _Player:
         self._progress_ns = now_ns
         self._on_progress(
             self.report.passes,
-            (self._now_ns - self._start_ns) / _NS,
-            (self._end_ns - self._start_ns) / _NS,
+            (self._now_ns - self._start_ns) / NS,
+            (self._end_ns - self._start_ns) / NS,
         )
+
+
+def in_namespace(node: Node, topic: str) -> str:
+    """Return the name under which `node` publishes a recorded `topic`: in its namespace, unless all cells share it."""
+    namespace = node.get_namespace().rstrip("/")
+    is_there = topic in SHARED or topic.startswith(f"{namespace}/")
+    return str(node.resolve_topic_name(topic if is_there else namespace + topic))
+
+
+class ReplayPublisher:
+    """Reliable publisher of one topic, deep enough for subscribers that fall behind for a while."""
+
+    def __init__(self, node: Node, name: str, message_class: type) -> None:
+        """Publish on `name`; a match updates `subscribers` and wakes the executor."""
+        self.sent = 0
+        self.subscribers = 0
+        self.had_subscriber = False
+        self.latched = name.rpartition("/")[2] in LATCHED or message_class is Inertia
+        self.publisher = node.create_publisher(
+            message_class,
+            name,
+            qos_profile(STREAM_QOS._replace(latched=self.latched)),
+            event_callbacks=PublisherEventCallbacks(matched=self._on_matched),
+        )
+
+    @property
+    def name(self) -> str:
+        """The fully qualified topic name."""
+        return str(self.publisher.topic_name)
+
+    def send(self, message: Any) -> None:  # noqa: ANN401 - a message of any class, or its bytes
+        """Publish one message."""
+        self.publisher.publish(message)
+        self.sent += 1
+
+    def _on_matched(self, info: QoSPublisherMatchedInfo) -> None:
+        self.subscribers = info.current_count
+        self.had_subscriber = self.had_subscriber or info.current_count > 0
+
+
+def replay_publishers(
+    bag: Bag, node: Node, topics: Collection[str], joint_state_topic: str
+) -> tuple[dict[str, ReplayPublisher], dict[str, str]]:
+    """Return a publisher for each replayed topic of `bag`, and the reason for each topic that is not replayed.
+
+    `topics` selects topics; if empty, all but the clock and the outputs of live nodes. `joint_state_topic` is
+    published as joint_states. Raises BagError for a topic that the bag does not have, SettingsError if nothing is
+    left to replay.
+    """
+    names = [topic.name for topic in bag.topics]
+    for name in (*topics, *filter(None, (joint_state_topic,))):
+        if name not in names:
+            raise BagError(f"{bag.path}: no topic {name}; expected one of {', '.join(names)}")
+    if joint_state_topic and joint_state_topic not in bag.joint_state_topics:
+        candidates = ", ".join(bag.joint_state_topics) or "none here"
+        raise BagError(f"{bag.path}: {joint_state_topic} holds no joint states; topics that do: {candidates}")
+    publishers: dict[str, ReplayPublisher] = {}
+    skipped: dict[str, str] = {}
+    for topic in bag.topics:
+        is_joint_states = topic.name == joint_state_topic
+        reason = "" if is_joint_states else _reason_to_skip(topic.name, names, topics, joint_state_topic)
+        installed_class = message_class(topic.type)
+        if reason or installed_class is None:
+            skipped[topic.name] = reason or f"its type {topic.type or '(none)'} is not installed"
+            continue
+        publisher = ReplayPublisher(
+            node, in_namespace(node, JOINT_STATES if is_joint_states else topic.name), installed_class
+        )
+        if reason := _definition_mismatch(bag, node, publisher, topic.type):
+            node.destroy_publisher(publisher.publisher)
+            skipped[topic.name] = reason
+        else:
+            publishers[topic.name] = publisher
+    if not publishers:
+        reasons = "; ".join(f"{name}: {reason}" for name, reason in skipped.items())
+        raise SettingsError(f"{bag.path}: nothing to replay: {reasons}")
+    return publishers, skipped
+
+
+def _reason_to_skip(name: str, names: Sequence[str], topics: Collection[str], joint_state_topic: str) -> str:
+    if name == CLOCK:
+        return "the replay publishes its own clock"
+    if joint_state_topic and name == JOINT_STATES:
+        return f"{joint_state_topic} is published in its place"
+    if topics and name not in topics:
+        return "not selected"
+    if not topics and name.rpartition("/")[2] in NODE_OUTPUTS:
+        return "the live nodes publish it"
+    return "it holds messages of more than one type" if names.count(name) > 1 else ""
+
+
+def _definition_mismatch(bag: Bag, node: Node, publisher: ReplayPublisher, message_type: str) -> str:
+    """Return why subscribers would misread the recorded bytes, empty if they would not."""
+    try:
+        recorded_hash = bag.types.hash_rihs01(message_type)
+    except (LookupError, TypeError):
+        return f"the recording does not define {message_type}"
+    endpoints = node.get_publishers_info_by_topic(publisher.name)
+    own = (info for info in endpoints if info.node_name == node.get_name() and info.topic_type == message_type)
+    if recorded_hash in {str(info.topic_type_hash) for info in own}:
+        return ""
+    return f"its definition of {message_type} is not the installed one"

@@ -17,11 +17,10 @@ from scara_effmass.nodes.ros import qos_profile
 from scara_effmass.settings.loading import fixed
 from scara_effmass.sim.experiment import ImpactSetup, LiveSim
 from scara_effmass.wire import topics
-from scara_effmass.wire.cdr import header_stamp_ns
+from scara_effmass.wire.cdr import NS, header_stamp_ns
 from scara_effmass.wire.joint_state import joint_state_message
 from scara_effmass.wire.run_info import run_info_message
 
-_NS = 1_000_000_000
 _MS = 1_000_000
 _PERIOD_S = 0.001
 _AHEAD_NS = 20 * _MS
@@ -32,7 +31,7 @@ _HOLD_PERIOD_NS = 50 * _MS
 _MAX_STEP_NS = 100 * _MS
 """Longest time to simulate at once: on a busy machine each step would take longer than the last; signals wait."""
 _NEVER_NS = 2**62
-_MAX_PAST_NS = 60 * _NS
+_MAX_PAST_NS = 60 * NS
 """Without a clock of its own, the node catches up with the ROS time."""
 
 
@@ -119,7 +118,7 @@ class SimNode(LifecycleBase[NodeSettings]):
     def _log_status(self) -> None:
         count = self._joint_states.get_subscription_count()
         waits = f": waits for {', '.join(self._missing())}" * self._is_awaited
-        simulated_s = (self._time_ns - self._start_ns) / _NS
+        simulated_s = (self._time_ns - self._start_ns) / NS
         self.get_logger().info(f"simulated {simulated_s:.1f} s, {count} subscribers of joint_states{waits}")
 
 
@@ -161,7 +160,7 @@ class SimClock:
 
     def _publish(self) -> None:
         message = ClockMessage()
-        message.clock.sec, message.clock.nanosec = divmod(self._now_ns, _NS)
+        message.clock.sec, message.clock.nanosec = divmod(self._now_ns, NS)
         self._publisher.publish(message)
 
     def _on_done(self, topic: str, data: bytes) -> None:
