@@ -9,9 +9,8 @@ from itertools import pairwise
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from scara_effmass.iso15066 import EDITION, TABLE_HASH
-from scara_effmass.nodes.diagnostics import status
+from scara_effmass.nodes.diagnostics import CHANGES, REASON_CODE, REMEDY, status
 from scara_effmass.nodes.robot_input import label
-from scara_effmass.nodes.terminal import CHANGES, REASON_CODE, REMEDY
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Cause, Monitor
 from scara_effmass.safety.assumptions import RULES, deciding_mass, name_of, scope

@@ -15,8 +15,7 @@ from rcl_interfaces.msg import Log
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 
-from scara_effmass.nodes.diagnostics import status
-from scara_effmass.nodes.terminal import CHANGES, NodeLog
+from scara_effmass.nodes.diagnostics import CHANGES, NodeLog, status
 from test.nodes.conftest import MONITOR_NODE, NodeHarness, joint_state
 
 ROSOUT_QOS = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -179,7 +178,7 @@ class Logger:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     now = [100.0]
-    monkeypatch.setattr("scara_effmass.nodes.terminal.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("scara_effmass.nodes.diagnostics.time.monotonic", lambda: now[0])
     return now
 
 
