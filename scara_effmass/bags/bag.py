@@ -3,7 +3,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from functools import cached_property
 from operator import attrgetter
 from pathlib import Path
@@ -82,6 +82,8 @@ class Bag(ABC):
 
     start_ns: int
     end_ns: int
+    _stack: ExitStack
+    """Closes the files."""
 
     def __init__(self, path: Path, stored: Iterable[StoredTopic], losses: LossLog, *, is_ros1: bool = False) -> None:
         self.path = path
@@ -103,9 +105,9 @@ class Bag(ABC):
     def batches(self, topics: Collection[int], start_ns: int, stop_ns: int) -> Iterator[MessageBatch]:
         """Yield the messages of these topic indices with start_ns <= log time < stop_ns."""
 
-    @abstractmethod
     def close(self) -> None:
         """Close the files."""
+        self._stack.close()
 
     @property
     def duration_ns(self) -> int:

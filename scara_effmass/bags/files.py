@@ -302,10 +302,6 @@ class RosbagsBag(Bag):
         if messages:
             yield _batch(messages)
 
-    def close(self) -> None:
-        """See `Bag`."""
-        self._stack.close()
-
     def _stored_topics(self) -> Iterator[StoredTopic]:
         for path, connection in ((path, c) for path, reader in self._readers for c in reader.connections):
             topic = Topic(connection.topic, connection.msgtype, connection.msgcount, connection.digest)

@@ -452,7 +452,3 @@ class McapBag(Bag):
         ]
         sound = [i for i, message in enumerate(messages) if message]
         return batch_of(batch.topic[sound], batch.log_time_ns[sound], [messages[i] for i in sound])
-
-    def close(self) -> None:
-        """See `Bag`."""
-        self._stack.close()
