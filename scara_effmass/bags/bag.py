@@ -28,7 +28,6 @@ from scara_effmass.errors import BagError, DecodeError
 from scara_effmass.values import ForceBlock, Impact, RunInfo
 from scara_effmass.wire.cdr import NS
 from scara_effmass.wire.force import decode_force_block, decode_impact
-from scara_effmass.wire.former_contact_state import DEFINITION
 from scara_effmass.wire.message_types import (
     FORCE_BLOCK,
     FORMER_CONTACT_STATE,
@@ -37,6 +36,7 @@ from scara_effmass.wire.message_types import (
     RUN_INFO,
     WRENCH,
     WRENCH_STAMPED,
+    former_contact_state,
 )
 from scara_effmass.wire.run_info import decode_run_info
 from scara_effmass.wire.topics import JOINT_COMMANDS
@@ -154,7 +154,8 @@ class Bag(ABC):
         """Message types: those that the bag defines, and the known ones."""
         definitions = dict(self._definitions)
         if any(topic.type == FORMER_CONTACT_STATE for topic in self.topics):
-            definitions.setdefault(FORMER_CONTACT_STATE, MessageDefinition(MessageDefinitionFormat.MSG, DEFINITION))
+            former = MessageDefinition(MessageDefinitionFormat.MSG, former_contact_state())
+            definitions.setdefault(FORMER_CONTACT_STATE, former)
         return types_of(frozenset(definitions.items()), ros1=self._is_ros1)
 
     def messages(

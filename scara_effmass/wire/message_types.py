@@ -10,7 +10,7 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 OWN_PACKAGE = "scara_effmass_msgs"
 CONTACT_STATES = f"{OWN_PACKAGE}/msg/ContactStates"
 FORMER_CONTACT_STATE = f"{OWN_PACKAGE}/msg/ContactState"
-"""Type of a topic in recordings made before ContactStates, which now holds it; see `wire.former_contact_state`."""
+"""Type of a topic in recordings made before ContactStates, which now holds it."""
 FORCE_BLOCK = f"{OWN_PACKAGE}/msg/ForceBlock"
 IMPACT = f"{OWN_PACKAGE}/msg/Impact"
 RUN_INFO = f"{OWN_PACKAGE}/msg/RunInfo"
@@ -39,6 +39,11 @@ def message_definition(message_type: str) -> str:
     match = _TYPE.fullmatch(message_type)
     files = definition_files(match["package"]) if match else []
     return next((file.read_text(encoding="utf-8") for file in files if match and file.stem == match["name"]), "")
+
+
+def former_contact_state() -> str:
+    """Return the definition of FORMER_CONTACT_STATE."""
+    return Path(__file__).with_name("former_contact_state.msg").read_text(encoding="utf-8")
 
 
 def definition_files(package: str) -> list[Path]:

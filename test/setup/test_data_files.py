@@ -37,6 +37,6 @@ def test_every_template_and_table_is_package_data() -> None:
     config.read(ROOT / "setup.cfg", encoding="utf-8")
     package = ROOT / "scara_effmass"
     patterns = config["options.package_data"]["scara_effmass"].split()
-    files = {*package.rglob("*.html"), *package.rglob("*.yaml")}
+    files = {*package.rglob("*.html"), *package.rglob("*.yaml"), *package.rglob("*.msg")}
     assert len(files) > 3
     assert files <= {path for pattern in patterns for path in package.glob(pattern)}
