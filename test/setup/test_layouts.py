@@ -128,6 +128,6 @@ def test_rviz_shows_the_markers_in_the_base_frame() -> None:
     (display,) = (shown for shown in manager["Displays"] if "Topic" in shown)
     assert display["Class"] == "rviz_default_plugins/MarkerArray"
     assert TYPES[display["Topic"]["Value"]] == "visualization_msgs/msg/MarkerArray"
-    source = (CONFIG.parent / "scara_effmass" / "nodes" / "markers.py").read_text(encoding="utf-8")
+    source = (CONFIG.parent / "scara_effmass" / "nodes" / "visualization_node.py").read_text(encoding="utf-8")
     drawn = set(re.findall(r'(?:_arrow\(|_marker\(Marker\.\w+, )"(\w+)"', source))
     assert set(display["Namespaces"]) == drawn

@@ -13,7 +13,7 @@ from visualization_msgs.msg import Marker
 from scara_effmass.model.hulls import triangles
 from scara_effmass.model.load import load_robot
 from scara_effmass.model.poses import pose_geometry
-from scara_effmass.nodes.markers import contact_markers, robot_markers
+from scara_effmass.nodes.visualization_node import contact_markers, robot_markers
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor, unknown_contact
 from scara_effmass.settings import MonitorSettings
