@@ -27,7 +27,7 @@ from scara_effmass.errors import DecodeError
 from scara_effmass.iso15066 import limits_for
 from scara_effmass.kernel.state import CODE
 from scara_effmass.model.robot import Robot
-from scara_effmass.nodes.diagnostics import Diagnostics, no_publisher, status
+from scara_effmass.nodes.diagnostics import Diagnostics, no_publisher, several_publishers, status
 from scara_effmass.nodes.latched_input import LatchedInput
 from scara_effmass.nodes.lifecycle import RCLError, run
 from scara_effmass.nodes.monitor_health import (
@@ -487,8 +487,7 @@ class MonitorNode(RobotNode[NodeSettings]):
 
     def _check_publishers(self) -> None:
         """Trust /clock only while it has one publisher, and the joint states while one sends those of the robot."""
-        count = self.count_publishers(topics.CLOCK) if self.get_parameter("use_sim_time").value else 0
-        reason = f"{count} publishers of {topics.CLOCK}: must be one" if count > 1 else ""
+        reason = several_publishers(self, topics.CLOCK) if self.get_parameter("use_sim_time").value else ""
         with self._monitor_lock:
             if self._monitor is not None:
                 self._monitor.distrust(topics.CLOCK, reason)
