@@ -25,7 +25,7 @@ from scara_effmass.cli.console import VERDICT_STYLES, live_file, print_lines, pr
 from scara_effmass.cli.options import load_dynamics, monitor_settings
 from scara_effmass.errors import SettingsError
 from scara_effmass.impacts.agreement import comparison_text
-from scara_effmass.impacts.load import force_text
+from scara_effmass.impacts.load import peak_text
 from scara_effmass.safety.remedies import remedy
 from scara_effmass.values import Verdict, at_least, at_most, severity, speed_texts
 
@@ -180,7 +180,7 @@ def screen(status: CellStatus, now_ns: int, name: str, width: int, height: int, 
 def _impact_text(record: ImpactRecord, now_ns: int) -> str:
     """Return peak, age and prediction of an impact, or why it has none."""
     validation = record.validation
-    text = f"last impact: peak {force_text(record.impact)}, {(now_ns - record.at_ns) / 1e9:.0f} s ago"
+    text = f"last impact: peak {peak_text(record.impact)}, {(now_ns - record.at_ns) / 1e9:.0f} s ago"
     if validation is not None:
         return f"{text}, predicted {validation.predicted_force:.1f} N; {comparison_text(validation)}"
     return f"{text}, not predicted: {record.left_out}" if record.left_out else text

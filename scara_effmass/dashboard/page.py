@@ -17,7 +17,7 @@ from nicegui import ui
 
 from scara_effmass.cell.status import HISTORY_NS, CellStatus, ImpactRecord, Validation
 from scara_effmass.dashboard.scene import RobotScene
-from scara_effmass.impacts.load import force_text
+from scara_effmass.impacts.load import peak_text
 from scara_effmass.nodes.cell_client import CellClient
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety.remedies import remedy
@@ -160,7 +160,7 @@ class Page:
         rows = [
             [
                 self._clock(record.at_ns) + " (simulated)" * record.impact.simulated,
-                force_text(record.impact),
+                peak_text(record.impact),
                 prediction_text(record),
                 f"{record.validation.relative_error:+.1%}" if record.validation else "",
                 _region_text(record.validation) if record.validation else "",

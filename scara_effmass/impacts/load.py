@@ -50,7 +50,7 @@ def left_out_text(item: LeftOut) -> str:
     return f"{item.occurrences}: {item.reason} (up to {item.peak_force:.1f} N)"
 
 
-def force_text(impact: Impact) -> str:
+def peak_text(impact: Impact) -> str:
     """Return the peak of an impact, the load beneath it, and what stayed."""
     bound = " at least" if impact.clipped or impact.incomplete else ""
     load = f" on a load of {impact.load_force:.1f} N" if impact.load_force else ""

@@ -26,7 +26,7 @@ from scara_effmass.daq.conditioning import ForceChannel, SignalConditioner
 from scara_effmass.daq.source import ForceSource
 from scara_effmass.errors import DaqError, EffmassError, SettingsError
 from scara_effmass.impacts.detector import Detector
-from scara_effmass.impacts.load import force_text
+from scara_effmass.impacts.load import peak_text
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.diagnostics import Diagnostics, status
 from scara_effmass.nodes.lifecycle import LifecycleBase, run
@@ -301,7 +301,7 @@ def impact_text(impact: values.Impact) -> str:
     flags = {"clipped": impact.clipped, "incomplete": impact.incomplete}
     wrong = "".join(f", {name}" for name, is_set in flags.items() if is_set)
     size = f"{1e3 * impact.duration:.2f} ms, {impact.impulse:.3g} N s{wrong}"
-    return f"{'simulated ' * impact.simulated}impact on {impact.frame_id}: peak {force_text(impact)}, {size}"
+    return f"{'simulated ' * impact.simulated}impact on {impact.frame_id}: peak {peak_text(impact)}, {size}"
 
 
 def daq_statuses(
