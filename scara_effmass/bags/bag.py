@@ -119,9 +119,9 @@ class Bag(ABC):
         """Data that could not be read so far, one line each."""
         return tuple(self._losses)
 
-    def add_loss(self, line: str, count: int = 1) -> None:
-        """Add a `line` to `losses`, or increase its count, for a reader that leaves out messages."""
-        self._losses.add(f"{self.path}: {line}", count)
+    def add_loss(self, line: str) -> None:
+        """Add a `line` to `losses`, for a reader that leaves out messages."""
+        self._losses.add(f"{self.path}: {line}")
 
     @property
     def joint_state_topics(self) -> tuple[str, ...]:

@@ -183,7 +183,6 @@ class BlockDecoder:
     def __init__(self, origin: str, losses: LossLog) -> None:
         self._origin = origin
         self._add_loss = losses.counter()
-        self._names: tuple[str, ...] = ()
         self._window = MIN_WINDOW
 
     def blocks(self, batch: MessageBatch) -> Iterator[JointStateBlock]:
@@ -207,9 +206,7 @@ class BlockDecoder:
             fixed = np.concatenate([np.arange(*span) for span in layout.fixed])
             count = leading((rows[:, fixed] == rows[0, fixed]).all(axis=1))
             self._window = self._window * WINDOW_GROWTH if count == len(size[window]) else max(count, 1)
-            if layout.names != self._names:
-                self._names = layout.names
-            block = _block(rows[:count], batch.log_time_ns[first : first + count], layout, self._names)
+            block = _block(rows[:count], batch.log_time_ns[first : first + count], layout)
             yield replace(block, decode_failures=tuple(failures))
             failures.clear()
             first += count
@@ -229,9 +226,7 @@ def _columns(rows: NDArray[np.uint8], start: int, size: int, dtype: str) -> NDAr
     return columns
 
 
-def _block(
-    rows: NDArray[np.uint8], log_time_ns: IntArray, layout: JointStateLayout, names: tuple[str, ...]
-) -> JointStateBlock:
+def _block(rows: NDArray[np.uint8], log_time_ns: IntArray, layout: JointStateLayout) -> JointStateBlock:
     order = layout.byte_order
     sec = _columns(rows, STAMP_AT, 4, f"{order}i4")[:, 0].astype(np.int64)
     nanosec = _columns(rows, STAMP_AT + 4, 4, f"{order}u4")[:, 0].astype(np.int64)
@@ -239,7 +234,7 @@ def _block(
         _columns(rows, numbers.at, 8 * numbers.length, f"{order}f8").astype(np.float64)
         for numbers in (layout.position, layout.velocity, layout.effort)
     )
-    block = JointStateBlock(log_time_ns.copy(), sec * NS + nanosec, names, position, velocity, effort)
+    block = JointStateBlock(log_time_ns.copy(), sec * NS + nanosec, layout.names, position, velocity, effort)
     for array in (block.log_time_ns, block.stamp_ns, position, velocity, effort):
         array.flags.writeable = False
     return block

@@ -119,9 +119,8 @@ class VisualizationNode(RobotNode[NodeSettings]):
     def use_robot(self, robot: Robot) -> None:
         """Draw `robot`."""
         self._adapter = JointStateAdapter(robot.joint_names, self.settings)
-        self._dynamics, self._triangles = RobotDynamics(robot), {}
-        if robot.hulls:
-            self._triangles = {name: triangles(vertices) for name, vertices in robot.hulls.items()}
+        self._dynamics = RobotDynamics(robot)
+        self._triangles = {name: triangles(vertices) for name, vertices in robot.hulls.items()}
 
     def refuse_robot(self, reason: str) -> None:
         """Draw no robot for `reason`."""
