@@ -113,11 +113,11 @@ def approach_of(point: Point, vertex: int, motion: FloatArray, age: float, setup
     if setup.normal == Normal.FIXED and is_moving:
         share = max(abs(dot(n, normal)), MIN_NORMAL_COMPONENT)
     held = fill_jacobian_rate(joint, place, velocity, setup, work)
-    rate, is_limited = norm(shown) + error, False
-    if setup.max_acceleration >= rate:
-        is_limited, error, rate = True, setup.max_acceleration, setup.max_acceleration
-    elif is_moving:
-        rate = max(0.0, dot(n, add(shown, held))) + error
+    is_limited = setup.max_acceleration >= norm(shown) + error
+    total = add(shown, held)
+    rate = (max(0.0, dot(n, total)) if is_moving else norm(total)) + error
+    if is_limited:
+        error = setup.max_acceleration
     return Approach(
         joint + 1,
         point.rank,
@@ -128,7 +128,7 @@ def approach_of(point: Point, vertex: int, motion: FloatArray, age: float, setup
         is_moving,
         normal,
         share,
-        tolerance + age * rate,
+        tolerance + age * max(rate, setup.max_acceleration),
         shown,
         held,
         error,

@@ -167,13 +167,19 @@ class ContactAssessor:
         codes = (ModelCode.LUMPED, ModelCode.FULL)
         self.masses = {code: contact.effective_mass(code, self.direction) for code in codes}
         self.masses[ModelCode.ISO] = self.iso_mass
-        acceleration = self._acceleration(None)
-        along = 0.0 if self.direction is None else float(self.direction @ (acceleration.shown + acceleration.held))
         time = max(0.0, self.joint_acceleration.age) + self.settings.reaction_time  # a stamp may lead the clock
-        self.speed_tolerance += time * (max(0.0, along) + acceleration.error)
+        self.speed_tolerance += time * self._speed_rate
 
-    def _acceleration(self, code: ModelCode | None) -> Acceleration:
-        """Return the acceleration that the contact goes on with, in the mass model `code`; None for a known mass.
+    @property
+    def _speed_rate(self) -> float:
+        """The largest d/dt of the speed [m/s2] that the joint states show or the settings state."""
+        qdd, errors, *_ = self.joint_acceleration
+        total = self.contact.jacobian @ qdd + self.contact.jacobian_rate @ self.state.qd
+        shown = float(np.linalg.norm(total)) if self.direction is None else max(0.0, float(self.direction @ total))
+        return max(shown + self.contact.speed_tolerance(errors.tolist()), self.settings.max_acceleration)
+
+    def _acceleration(self, code: ModelCode) -> Acceleration:
+        """Return the acceleration that the contact goes on with, in the mass model `code`.
 
         A stated limit that is larger than what the joint states show counts in its place, in any direction.
         """

@@ -109,10 +109,12 @@ def motions_of(dynamics: RobotDynamics, seed: int) -> FloatArray:
     return motions
 
 
-def computed(channel: ContactKernel | ReferenceChannel, dynamics: RobotDynamics, motions: FloatArray) -> Any:  # noqa: ANN401
+def computed(
+    channel: ContactKernel | ReferenceChannel, dynamics: RobotDynamics, motions: FloatArray, max_age: float = 0.04
+) -> Any:  # noqa: ANN401
     """Return the contacts (N, P) of admitted joint states, of dtype CONTACT."""
     states = np.zeros(len(motions), STATE)
-    states["is_admitted"], states["age"] = 1, np.arange(len(motions)) % 5 * 0.01
+    states["is_admitted"], states["age"] = 1, np.arange(len(motions)) % 5 * (max_age / 4.0)
     numbers = np.zeros((len(motions), len(dynamics.contacts), CONTACT.itemsize // 8))
     channel.bind(states.view(np.uint8), np.ascontiguousarray(motions), numbers)()
     return numbers.view(CONTACT)[..., 0]
@@ -294,14 +296,14 @@ def test_allowable_speed_of_a_link_keeps_the_limit_at_that_speed(robot: Path, va
     dynamics = RobotDynamics(whole)
     motions, names = motions_of(dynamics, 4), [*whole.contact_frames]
     motions[:, 2:] = 0.0
-    contacts, (limit,) = computed(ContactKernel(dynamics, chosen), dynamics, motions), limits_for(chosen)
+    contacts, (limit,) = computed(ContactKernel(dynamics, chosen), dynamics, motions, 0.0), limits_for(chosen)
     for number, name in enumerate(names):
         if name not in whole.hulls:
             continue
         first, repeated = contacts[:, number], motions.copy()
         scales = (first["worst_direction_used"] == 0.0) & (first["allowable_speed"] > 2.0 * chosen.speed_threshold)
         repeated[scales, 1] *= 0.999 * first["allowable_speed"][scales, None] / first["speed"][scales, None]
-        again = computed(ContactKernel(dynamics, chosen), dynamics, repeated)[:, number]
+        again = computed(ContactKernel(dynamics, chosen), dynamics, repeated, 0.0)[:, number]
         # A vertex slower than the threshold does not count: the link counts elsewhere from another speed on.
         same = scales & (again["position_in_link"] == first["position_in_link"]).all(axis=1)
         assert same.any()

@@ -22,6 +22,7 @@ from scara_effmass.reference.pose_state import X_AXIS
 from scara_effmass.reference.speed_limit import DrivePush, speed_limit
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import ContactType, Drives, MassModel, MonitorSettings
+from scara_effmass.share import share
 from scara_effmass.values import ContactAssessment, FloatArray, JointState, Vector3, Verdict
 
 Variant = Callable[[Callable[[dict[str, Any]], object]], RobotDynamics]
@@ -976,3 +977,30 @@ def test_stated_acceleration_of_a_joint_counts_both_ways_unless_it_shows_a_large
         return pending.numbers.tobytes()
 
     assert numbers((shown, errors), *(f"{joint}=5" for joint in JOINTS)) == numbers((qdd, counted))
+
+
+def speed_until_it_reacts(monitor: Monitor, q: FloatArray, qd: FloatArray, **settings: float) -> float:
+    """Return the allowable speed of a robot that reacts after 0.3 s, or after `reaction_time`."""
+    monitor.apply(MonitorSettings.model_validate({"drives": "free", "reaction_time": 0.3, **settings}))
+    qdd = np.full((1, len(q)), 1e-3)
+    return float(monitor.assess_configurations(q[None], qd[None], qdd).contacts["allowable_speed"][0, 0])
+
+
+@pytest.mark.parametrize("use_reference", [False, True])
+def test_stated_acceleration_hides_none_of_held_joint_velocities(scara: RobotDynamics, *, use_reference: bool) -> None:
+    monitor = Monitor(scara, MonitorSettings(), use_reference=use_reference)
+    motion = np.array([0.3, 1.2, 0.1, 0.2]), np.array([-0.8, 1.9, 0.0, 0.0])  # 0.39 m/s2 along the velocity
+    assert speed_until_it_reacts(monitor, *motion, max_acceleration=0.1) <= speed_until_it_reacts(monitor, *motion)
+    assert speed_until_it_reacts(monitor, *motion, max_acceleration=1.0) < speed_until_it_reacts(monitor, *motion)
+
+
+@pytest.mark.parametrize("use_reference", [False, True])
+def test_point_at_rest_gets_faster_by_joints_that_move(*, use_reference: bool) -> None:
+    settings = MonitorSettings(robot=str(share("config", "robots", "ur5_robot.urdf")), contact_points=("ee_link",))
+    dynamics = RobotDynamics(load_robot(settings=settings))
+    q = np.linspace(-1.0, 1.0, 6)
+    jacobian = dynamics.at(q, np.zeros(6)).contacts[0].jacobian
+    qd = np.ones(6) - np.linalg.pinv(jacobian) @ jacobian @ np.ones(6)
+    monitor = Monitor(dynamics, settings, use_reference=use_reference)
+    at_once = speed_until_it_reacts(monitor, q, qd, reaction_time=0.0)
+    assert 0.0 < speed_until_it_reacts(monitor, q, qd) < at_once - 0.05
