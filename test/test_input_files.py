@@ -291,6 +291,9 @@ def test_parameters_of_a_node_in_a_namespace_count(folder: Path, text: str) -> N
     assert load_settings(MonitorSettings, path, "monitor") == MonitorSettings(timeout=0.1)
 
 
+BELOW = "must be below ros__parameters, or a section with it"
+
+
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
@@ -307,6 +310,19 @@ def test_parameters_of_a_node_in_a_namespace_count(folder: Path, text: str) -> N
         (
             "a:\n  monitor:\n    ros__parameters: {timeout: 0.1}\na/monitor:\n  ros__parameters: {timeout: 0.2}\n",
             "a/monitor: must be stated once",
+        ),
+        ("monitor:\n  ros__parameters: {timeout: 0.1}\n  person_speed: 1.6\n", f"monitor: person_speed: {BELOW}"),
+        (
+            "/**:\n  person_speed: 1.6\n  monitor:\n    ros__parameters: {timeout: 0.1}\n",
+            rf"/\*\*/person_speed: {BELOW}",
+        ),
+        (
+            "/**:\n  ros__parameters: {timeout: 0.1}\n  monitor:\n    ros__parameters: {person_speed: 1.6}\n",
+            rf"/\*\*: monitor: {BELOW}",
+        ),
+        (
+            "/**:\n  ros__parameters:\n    ros__parameters: {person_speed: 1.6}\n",
+            r"/\*\*: ros__parameters: must be stated once",
         ),
     ],
 )

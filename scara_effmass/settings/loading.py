@@ -211,6 +211,14 @@ def parameter_sections(
     for name in sections:
         if not isinstance(found[name], dict) or not isinstance(found[name].get("ros__parameters"), dict):
             raise SettingsError(f"{path}: {name}: must hold ros__parameters")
+        if "ros__parameters" in found[name]["ros__parameters"]:
+            raise SettingsError(f"{path}: {name}: ros__parameters: must be stated once")
+    for name, content in found.items():
+        beside = (
+            [f"{name}: {key}" for key in content if key != "ros__parameters"] if isinstance(content, dict) else [name]
+        )
+        if beside:
+            raise SettingsError(f"{path}: {beside[0]}: must be below ros__parameters, or a section with it")
     return [(name, _stated_once(_flat(found[name]["ros__parameters"]), f"{path}: {name}")) for name in sections]
 
 
