@@ -333,6 +333,14 @@ def test_parameters_that_ros_would_take_otherwise_are_refused(folder: Path, text
         load_settings(MonitorSettings, path, "monitor")
 
 
+def test_whole_arm_without_links_is_refused(folder: Path) -> None:
+    """An empty list states nothing: it left every link out, and counted as a statement of what is watched."""
+    path = folder / "cell.yaml"
+    path.write_text("monitor:\n  ros__parameters: {contact_points: [whole_arm], contact_links: []}\n", encoding="utf-8")
+    with pytest.raises(SettingsError, match=rf"^{path}: contact_links = \[\]: must not be empty$"):
+        load_settings(MonitorSettings, path, "monitor")
+
+
 def test_parameters_of_the_node_in_several_namespaces_are_refused(folder: Path) -> None:
     path = folder / "cells.yaml"
     section = "/{}/monitor:\n  ros__parameters: {{timeout: {}}}\n"

@@ -144,7 +144,9 @@ class MonitorSettings(FrozenSettings):
         "longest chain of a URDF, and whole_arm, if all meshes are found and contact_normal is worst",
     )
     contact_links: tuple[str, ...] = fixed(
-        ("*",), "links that whole_arm watches, by name or glob pattern; name all but those that cannot touch a person"
+        ("*",),
+        "links that whole_arm watches, by name or glob pattern; name all but those that cannot touch a person",
+        min_length=1,
     )
     package_dirs: tuple[str, ...] = fixed(
         (), "folders of the packages with the meshes of a URDF, besides those of ROS and those above the file"

@@ -165,7 +165,7 @@ def compare_robot(robot: Path, values: dict[str, Any], seed: int) -> Any:  # noq
 @pytest.mark.parametrize("robot", ROBOTS, ids=lambda path: path.stem)
 def test_mobilities_are_those_of_the_mass_matrix_in_local_frames(robot: Path) -> None:
     """CRBA in local frames rounds less than the inverse that the reference takes."""
-    chosen = settings_of(contact_links=())
+    chosen = settings_of().model_copy(update={"contact_links": ()})
     dynamics = RobotDynamics(load_robot(robot, chosen))
     motions = motions_of(dynamics, 0)
     contacts = computed(ContactKernel(dynamics, chosen), dynamics, motions)
