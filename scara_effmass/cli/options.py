@@ -45,6 +45,8 @@ class Option:
             self.keywords |= _setting_keywords(self.dest, keywords)
         if "type" in keywords:
             self.keywords["type"] = TYPES[keywords["type"]]
+        if self.names == ["--params"]:
+            self.keywords["action"] = _Once
         if isinstance(keywords.get("metavar"), list):
             self.keywords["metavar"] = tuple(keywords["metavar"])
 
@@ -62,6 +64,21 @@ class Option:
         """Return whether `args` have another value than the default."""
         default = self.keywords.get("default", False if self.keywords.get("action") == "store_true" else None)
         return getattr(args, self.dest) not in (default, [])
+
+
+class _Once(argparse.Action):
+    """Refuses a second value: it would replace the first one, where ROS takes the parameters of both files."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,  # noqa: ANN401 - as argparse
+        option_string: str | None = None,
+    ) -> None:
+        if (first := getattr(namespace, self.dest)) is not None:
+            parser.error(f"{option_string} {values}: must be given once, not also with {first}")
+        setattr(namespace, self.dest, values)
 
 
 _FIELDS = {

@@ -131,6 +131,10 @@ REFUSALS: dict[str, tuple[list[str], str]] = {
         ["validate", TOUR, "-o", "out", "--stiffness-n-m", "2,77"],
         "argument --stiffness-n-m: 2,77: must be a number: write 2.77",
     ),
+    "two parameter files": (
+        ["assess", "bag", "--params", "a.yaml", "--params", "b.yaml"],
+        "--params b.yaml: must be given once, not also with a.yaml",
+    ),
     "abbreviated option": (["limits", "--contact-area", "2"], "unrecognized arguments: --contact-area 2"),
     "option of other commands": (
         ["impacts", TOUR, "--topic=/f"],
