@@ -74,9 +74,14 @@ class LoadWatch:
         )
         self.forget()
 
-    def is_of(self, dynamics: RobotDynamics, settings: MonitorSettings) -> bool:
-        """Return whether the joint states so far count with these."""
-        return dynamics is self._dynamics and _used(settings) == self._settings
+    def of(self, dynamics: RobotDynamics, settings: MonitorSettings) -> LoadWatch:
+        """Return the watch with these: this one, or a new one, which keeps the doubt if robot and load are the same."""
+        if dynamics is self._dynamics and _used(settings) == self._settings:
+            return self
+        watch = LoadWatch(dynamics, settings)
+        if dynamics is self._dynamics:
+            watch.doubt = self.doubt
+        return watch
 
     def forget(self) -> None:
         """Discard the joint states so far."""

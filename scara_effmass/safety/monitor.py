@@ -251,8 +251,7 @@ class Monitor:
         self._points = self.dynamics.contact_points
         self._single = self._new_pending(1)
         self._single_state = self._single.states.data
-        if not self.load_watch.is_of(self.dynamics, settings):
-            self.load_watch = LoadWatch(self.dynamics, settings)
+        self.load_watch = self.load_watch.of(self.dynamics, settings)
 
     @property
     def core(self) -> str:

@@ -143,6 +143,27 @@ def after(states: Motion, seconds: float) -> Motion:
     return states._replace(stamps=states.stamps + round(1e9 * seconds))
 
 
+@pytest.mark.parametrize(
+    ("changes", "first", "last"),
+    [
+        ({"timeout": 0.3}, Reason.UNSTATED_LOAD, Reason.UNSTATED_LOAD),
+        ({"velocity_window": 0.03}, Reason.UNSTATED_LOAD, Reason.UNSTATED_LOAD),
+        ({"mass_uncertainty": 0.9}, Reason.UNSTATED_LOAD, Reason.HEAVIER_LOAD),
+        ({"payload_mass": 2.0, "payload_com": (0.05, 0.0, 0.0)}, Reason.NONE, Reason.NONE),
+    ],
+    ids=lambda value: "" if isinstance(value, Reason) else str(value),
+)
+def test_changed_setting_ends_no_doubt_unless_it_states_the_load(
+    changes: dict[str, Any], first: Reason, last: Reason
+) -> None:
+    watcher, states = monitor(), motion(2.0)
+    codes(watcher, states)
+    watcher.apply(watcher.settings.model_copy(update=changes))
+    assert watcher.load_watch.doubt.reason is first
+    codes(watcher, after(states, SECONDS))
+    assert watcher.load_watch.doubt.reason is last
+
+
 def test_a_load_that_grows_is_told_anew() -> None:
     watcher = monitor(mass_uncertainty=0.9)
     assert Reason.UNSTATED_LOAD not in codes(watcher, motion(1.0))
