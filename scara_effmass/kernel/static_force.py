@@ -85,11 +85,11 @@ def holding_force(
 ) -> float:
     """Return the contact force [N] up to which no joint reaches its effort limit."""
     force, alpha = math.inf, math.inf
-    if setup.counts_person:
+    if setup.counts_person or (setup.normal != Normal.FIXED and not approach.is_moving):
         return least_holding_force(approach.joints, setup, work)
     for i in range(push_count(approach, setup)):
         force = smaller_force(force, push_direction(i, approach, setup), approach.joints, setup, work)
-    if setup.normal == Normal.FIXED or not approach.is_moving:
+    if setup.normal == Normal.FIXED:
         return force
     for i in range(len(cases)):
         alpha = min(alpha, cases[i].obstacle_mobility)

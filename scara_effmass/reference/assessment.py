@@ -372,13 +372,14 @@ class ContactAssessor:
         """Return the contact force [N] up to which no joint reaches its effort limit.
 
         Above it, computed torque no longer holds: saturated joints yield, the others push on, and the arm can hit
-        again, faster. The force acts along `_directions`, and with any normal also along the worst one; that on a
-        person who moves acts along any vector.
+        again, faster. The force acts along `_directions`, and with any normal also along the worst one; at rest, and on
+        a person who moves, along any vector.
         """
-        if self.settings.counts_person_velocity:
+        is_known = self._fixed_normal is not None or self.direction is not None
+        if self.settings.counts_person_velocity or not is_known:
             return self.contact.least_holding_force
         normals = self._directions()
-        if self.settings.contact_normal == "worst" and self.direction is not None:
+        if self.settings.contact_normal == "worst":
             alpha = min(case.obstacle_mobility for case in self.cases)
             normals += [m.mobility.worst_normal(alpha) for m in self.models if m.code is not ModelCode.ISO]
         return self.contact.holding_force(normals)

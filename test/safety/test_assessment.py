@@ -676,13 +676,9 @@ def test_computed_torque_counts_up_to_the_effort_limits(
     normals: list[Vector3] = [strong.direction]
     if normal == "0.6 -0.8 0":
         normals = [(0.6, -0.8, 0.0), (-0.6, 0.8, 0.0)]
-    elif speed_threshold == 0.02:
-        normals = (
-            [(s, 0.0, 0.0) for s in (1.0, -1.0)]
-            + [(0.0, s, 0.0) for s in (1.0, -1.0)]
-            + [(0.0, 0.0, s) for s in (1.0, -1.0)]
-        )
-    force = min(contact_at(weak, q).clamping_force([np.array(n)]) for n in normals)
+    force = contact_at(weak, q).least_holding_force
+    if normal == "0.6 -0.8 0" or speed_threshold == 0.001:
+        force = min(contact_at(weak, q).clamping_force([np.array(n)]) for n in normals)
     (limit,) = limits_for(settings_of(body_regions=[region]))
     expected = force / limit.permissible_force_n * strong.allowable_speed
     assert 0.0 < limited.allowable_speed < 0.5 * strong.allowable_speed
@@ -692,25 +688,21 @@ def test_computed_torque_counts_up_to_the_effort_limits(
         assert limited.allowable_speed == pytest.approx(expected, rel=0.2)
 
 
-@pytest.mark.parametrize(("axis", "q1", "lift"), [(0, math.pi / 2, 1e4), (1, 0.0, 1e4), (2, 0.0, 10.0)])
-def test_weakest_axis_of_a_robot_at_rest_limits_computed_torque(
-    scara: RobotDynamics, scara_variant: Variant, axis: int, q1: float, lift: float
+@pytest.mark.parametrize("use_reference", [False, True])
+@pytest.mark.parametrize(("normal", "lift"), [("worst", 1e4), ("velocity", 1e4), ("worst", 30.0)])
+def test_weakest_direction_of_a_robot_at_rest_limits_computed_torque(
+    scara_variant: Variant, normal: str, lift: float, *, use_reference: bool
 ) -> None:
-    """A stretched arm holds least across itself."""
+    """A stretched arm holds least across itself, wherever it points."""
     efforts = {"joint1": 20.0, "joint2": 20.0, "joint3": lift, "joint4": 1e4}
     weak = scara_variant(lambda file: [joint.update(max_effort=efforts[joint["name"]]) for joint in file["joints"]])
-    q, qd = (q1, 0.2, 0.1, 0.0), (1e-6,) * 4
-    settings: dict[str, object] = {"drives": "servo", "servo": {"computed_torque": True}, "body_regions": ["chest"]}
-    settings |= {"speed_uncertainty": 0.0, "position_tolerance": 0.0, "velocity_tolerance": 0.0}
-    settings |= {"max_velocity_lag": 0.0}
-    strong, limited = assess_one(scara, q, qd, **settings), assess_one(weak, q, qd, **settings)
-    axes: tuple[Vector3, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-    forces = [
-        min(contact_at(weak, q).clamping_force([np.array(n)]) for n in ((x, y, z), (-x, -y, -z))) for x, y, z in axes
-    ]
-    assert np.argmin(forces) == axis
-    (limit,) = limits_for(settings_of(body_regions=["chest"]))
-    assert limited.allowable_speed == pytest.approx(min(forces) / limit.permissible_force_n * strong.allowable_speed)
+    settings = settings_of(
+        drives="servo", servo={"computed_torque": True}, body_regions=["chest"], contact_normal=normal
+    )
+    monitor = Monitor(weak, settings, use_reference=use_reference)
+    q = np.array([[q1, 0.2, 0.1, 0.0] for q1 in (0.0, 0.5, 1.0, math.pi / 2.0)])
+    speeds = monitor.assess_configurations(q, np.full(q.shape, 1e-6)).contacts["allowable_speed"]
+    assert 0.0 < speeds[0, 0] == pytest.approx(speeds[:, 0])
 
 
 def test_unknown_effort_limits_give_no_clamping_force(scara: RobotDynamics) -> None:
