@@ -39,7 +39,7 @@ RULES: Mapping[Assumption, Rule] = {
     Assumption.PAYLOAD: Rule(
         is_permissive=True,
         parameters=("payload_mass", "payload_topic"),
-        text="payload not stated: --payload 0 if there is none",
+        text="payload not stated: --payload 0 if there is none, else with its --payload-com",
     ),
     Assumption.ROTOR_INERTIA: Rule(
         is_permissive=True,
@@ -117,7 +117,7 @@ class Assumptions:
 
     @property
     def reason(self) -> str:
-        """Why no verdict is OK, such as "payload not stated: --payload 0 if there is none"; empty if one can be."""
+        """Why no verdict is OK, such as "payload not stated: …"; empty if one can be."""
         if not self.limiting:
             return ""
         first, *others = self.limiting
@@ -156,6 +156,8 @@ def assumptions_of(robot: Robot, settings: MonitorSettings) -> Assumptions:
         for code, rule in RULES.items()
         if code not in robot.stated and not stated.intersection(rule.parameters) and not rule.is_stated(robot)
     ]
+    if settings.payload_mass and "payload_com" not in stated:  # a load whose place nobody states
+        assumed = sorted({*assumed, Assumption.PAYLOAD})
     accepted = tuple(code for code in assumed if name_of(code) in settings.accept_assumptions)
     return Assumptions(tuple(code for code in assumed if code not in accepted), accepted)
 

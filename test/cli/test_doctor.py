@@ -373,7 +373,7 @@ def test_doctor_says_what_is_assumed_and_which_mass_decides(capsys: pytest.Captu
     )
     _, result = run_doctor(capsys, "--robot", str(arm(tmp_path / "arm.urdf", x=0.0, inertia=1.0)))
     notes = texts(result, "note")
-    assert notes["assumed: payload"] == "payload not stated: --payload 0 if there is none"
+    assert notes["assumed: payload"] == "payload not stated: --payload 0 if there is none, else with its --payload-com"
     assert "state mass, centre of mass" in notes["assumed: masses"]
     assert "ISO's M/2 + m_L" in notes["effective_mass_model"]
     _, result = run_doctor(

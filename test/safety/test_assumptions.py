@@ -73,6 +73,18 @@ def test_parameter_that_is_set_to_its_default_is_stated(code: Assumption) -> Non
     assert monitor_of(**others).assumptions.assumed == (code,)
 
 
+def test_load_without_its_centre_of_mass_is_not_stated() -> None:
+    """It counts at the origin of the frame; 3 kg 0.2 m before the hand of a Panda allow up to 40 % less speed."""
+    monitor = monitor_of(**ALL_STATED)
+    for mass, com, is_stated in ((2.0, {}, False), (2.0, {"payload_com": (0.0, 0.0, 0.0)}, True), (0.0, {}, True)):
+        assert (not monitor_of(**ALL_STATED | {"payload_mass": mass} | com).assumptions.assumed) is is_stated
+    monitor.apply(MonitorSettings.model_validate({"robot": str(UR5), **ALL_STATED, "payload_mass": 2.0}))
+    assert monitor.assumptions.assumed == (Assumption.PAYLOAD,)
+    scara = load_robot()  # whose file states the payload
+    assert Assumption.PAYLOAD not in assumptions_of(scara, MonitorSettings()).assumed
+    assert Assumption.PAYLOAD in assumptions_of(scara, MonitorSettings(payload_mass=2.0)).assumed
+
+
 @pytest.mark.parametrize("use_reference", [False, True])
 @pytest.mark.parametrize("code", STATED)
 def test_verdict_is_at_most_warn_while_a_permissive_assumption_is_not_stated(
@@ -122,7 +134,7 @@ def test_decision_holds_the_codes_and_the_reason_names_the_others() -> None:
     assert decision.accepted_assumptions == (Assumption.DRIVES,)
     others = "rotor_inertia, contact_area, person_speed, contact_points, acceleration, contact_damping, "
     others += "contact_friction"
-    assert decision.reason == f"payload not stated: --payload 0 if there is none; also assumed: {others}"
+    assert decision.reason == f"{RULES[Assumption.PAYLOAD].text}; also assumed: {others}"
     assert ("drives", f"accepted: {RULES[Assumption.DRIVES].text}") in monitor.assumptions.lines
     assert set(monitor.assumptions.as_dict()["accepted"]) == {"drives"}
 
