@@ -156,7 +156,7 @@ def assumptions_of(robot: Robot, settings: MonitorSettings) -> Assumptions:
         for code, rule in RULES.items()
         if code not in robot.stated and not stated.intersection(rule.parameters) and not rule.is_stated(robot)
     ]
-    if settings.payload_mass and "payload_com" not in stated:  # a load whose place nobody states
+    if settings.payload_mass and "payload_com" not in stated and not robot.coms_reason:  # its place counts, too
         assumed = sorted({*assumed, Assumption.PAYLOAD})
     accepted = tuple(code for code in assumed if name_of(code) in settings.accept_assumptions)
     return Assumptions(tuple(code for code in assumed if code not in accepted), accepted)
