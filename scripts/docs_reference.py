@@ -20,7 +20,6 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 import scara_effmass
 from scara_effmass.cli.commands import COMMANDS
-from scara_effmass.cli.options import Option
 from scara_effmass.nodes.lifecycle import AnyNode, LifecycleBase
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -189,11 +188,10 @@ def _message(path: Path) -> str:
 
 
 def _command(name: str) -> str:
-    """Return the section of a command; of the options in a tuple one is required."""
+    """Return the section of a command; of several options in a group one is required."""
     command = COMMANDS[name]
     entries = []
-    for item in command.options:
-        group = (item,) if isinstance(item, Option) else item
+    for group in command.groups:
         for option in group:
             words = option.keywords
             value = words.get("metavar") or "|".join(words.get("choices") or ()) or option.dest.upper()

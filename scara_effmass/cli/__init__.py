@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 
 from scara_effmass import __version__
 from scara_effmass.cli.commands import COMMANDS, GROUPS, HELP, MODULES, ROS_COMMANDS, check_options
-from scara_effmass.cli.options import Option, inputs_of
+from scara_effmass.cli.options import inputs_of
 from scara_effmass.errors import EffmassError
 from scara_effmass.extras import missing_extra
 from scara_effmass.input_files import protect_inputs
@@ -98,8 +98,7 @@ def _parse_and_run(argv: Sequence[str] | None) -> int:
 
 def _similar_option(command: str | None, argument: str) -> str:
     """Return which option of the command ends like an unknown one, as --force-topic does for --topic; else nothing."""
-    options = COMMANDS[command].options if command else ()
-    names = [name for item in options if isinstance(item, Option) for name in item.names]
+    names = COMMANDS[command].options if command else ()
     end = argument.partition("=")[0].removeprefix("-")
     return next((f"; use {name}" for name in names if end.startswith("-") and name.endswith(end)), "")
 
@@ -195,13 +194,13 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"scara-effmass {__version__}")
     # The description lists the commands.
     commands = parser.add_subparsers(prog="scara-effmass", metavar="COMMAND", dest="command", help=argparse.SUPPRESS)
-    groups = {"": commands}
+    parsers = {"": commands}
     for name, command in COMMANDS.items():
-        group, _, own_name = name.rpartition(" ")
-        if group not in groups:
-            group_parser = commands.add_parser(group, description=GROUPS[group])
-            groups[group] = group_parser.add_subparsers(metavar="COMMAND", required=True)
-        subparser = groups[group].add_parser(
+        first, _, own_name = name.rpartition(" ")
+        if first not in parsers:
+            parser_of_steps = commands.add_parser(first, description=GROUPS[first])
+            parsers[first] = parser_of_steps.add_subparsers(metavar="COMMAND", required=True)
+        subparser = parsers[first].add_parser(
             own_name,
             help=command.summary,
             description=command.summary,
@@ -209,11 +208,8 @@ def make_parser() -> argparse.ArgumentParser:
             formatter_class=_HelpFormatter,
         )
         subparser.set_defaults(command=name)
-        for item in command.options:
-            if isinstance(item, Option):
-                subparser.add_argument(*item.names, **item.keywords)
-                continue
-            exclusive = subparser.add_mutually_exclusive_group(required=True)
-            for option in item:
-                exclusive.add_argument(*option.names, **option.keywords)
+        for group in command.groups:
+            holder = subparser if len(group) == 1 else subparser.add_mutually_exclusive_group(required=True)
+            for option in group:
+                holder.add_argument(*option.names, **option.keywords)
     return parser

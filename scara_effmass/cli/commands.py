@@ -12,14 +12,15 @@ from scara_effmass.wire.topics import RECORDED
 
 
 class Command(NamedTuple):
-    """Help and options of one command. Exactly one option of a tuple is required.
+    """Help of one command, its options in groups and by name. Of several options in a group, exactly one is required.
 
     `needs` has options that have an effect only with one of others.
     """
 
     summary: str
     epilog: str
-    options: tuple[Option | tuple[Option, ...], ...]
+    groups: tuple[tuple[Option, ...], ...]
+    options: dict[str, Option]
     needs: tuple[tuple[Option, tuple[Option, ...]], ...]
 
 
@@ -50,10 +51,10 @@ HELP = {
 def _commands() -> dict[str, Command]:
     commands = {}
     for name, stated in read_table(__file__, "commands.yaml").items():
-        own: list[Option | tuple[Option, ...]] = []
+        groups: list[tuple[Option, ...]] = []
         for item in stated["options"]:
-            own += [tuple(options_of(*item))] if isinstance(item, list) else options_of(item)
-        by_name = {text: option for item in own for option in _each(item) for text in option.names}
+            groups += [tuple(options_of(*item))] if isinstance(item, list) else zip(options_of(item))
+        by_name = {text: option for group in groups for option in group for text in option.names}
         needs = [
             (option, tuple(by_name[text] for text in needed.split()))
             for needed, items in stated.get("needs", {}).items()
@@ -61,12 +62,8 @@ def _commands() -> dict[str, Command]:
             for option in ([by_name[item]] if item in by_name else options_of(item))
         ]
         epilog = stated["epilog"].replace("{recorded}", ", ".join(RECORDED))
-        commands[name] = Command(stated["summary"], epilog, tuple(own), tuple(needs))
+        commands[name] = Command(stated["summary"], epilog, tuple(groups), by_name, tuple(needs))
     return commands
-
-
-def _each(item: Option | tuple[Option, ...]) -> tuple[Option, ...]:
-    return item if isinstance(item, tuple) else (item,)
 
 
 COMMANDS = _commands()
