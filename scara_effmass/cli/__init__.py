@@ -10,12 +10,13 @@ from collections.abc import Sequence
 from functools import cache
 from importlib import import_module
 from io import BufferedWriter, FileIO, TextIOWrapper
+from pkgutil import resolve_name
 from textwrap import fill
 from types import FrameType
 from typing import Any, NoReturn
 
 from scara_effmass import __version__
-from scara_effmass.cli.commands import COMMANDS, GROUPS, HELP, MODULES, ROS_COMMANDS, check_options
+from scara_effmass.cli.commands import COMMANDS, GROUPS, HELP, check_options
 from scara_effmass.cli.options import inputs_of
 from scara_effmass.errors import EffmassError
 from scara_effmass.extras import missing_extra
@@ -87,11 +88,11 @@ def _parse_and_run(argv: Sequence[str] | None) -> int:
     if name is None:
         parser.print_help()
         return INPUT_ERROR
-    if ros_arguments and name not in ROS_COMMANDS:
+    if ros_arguments and not COMMANDS[name].takes_ros_arguments:
         parser.error(f"{ros_arguments[0]}: this command takes no ROS arguments")
     previous_handler = signal.signal(signal.SIGTERM, _terminate)
     try:
-        return contextvars.copy_context().run(_run, MODULES.get(name, name), parsed)
+        return contextvars.copy_context().run(_run, parsed)
     finally:
         signal.signal(signal.SIGTERM, previous_handler)
 
@@ -126,12 +127,12 @@ def _explained(error: BaseException) -> tuple[str, int]:
     raise error
 
 
-def _run(module: str, parsed: argparse.Namespace) -> int:
-    """Run the command of `module` and return its exit code. Raises EffmassError, also for a missing extra."""
+def _run(parsed: argparse.Namespace) -> int:
+    """Run a command and return its exit code. Raises EffmassError, also for a missing extra."""
     check_options(parsed)
     protect_inputs(*inputs_of(parsed))
     try:
-        code: int = import_module(f"scara_effmass.cli.{module}").run(parsed)
+        code: int = resolve_name(f"scara_effmass.cli.{COMMANDS[parsed.command].function}")(parsed)
     except ModuleNotFoundError as error:
         if line := missing_extra(error):
             raise EffmassError(line) from error

@@ -36,14 +36,10 @@ MAX_LIMIT = 2.0**62
 """Largest size [B] and duration [ns] of a file."""
 
 
-def run(args: argparse.Namespace) -> int:
-    """Record, repair, replay or import, and print the result."""
-    if args.command == "record":
-        return _repair(args) if args.repair else _record(args)
-    return _replay(args) if args.command == "replay" else _import(args)
-
-
-def _record(args: argparse.Namespace) -> int:
+def run_record(args: argparse.Namespace) -> int:
+    """Record or repair, and print the result."""
+    if args.repair:
+        return _repair(args)
     from scara_effmass.nodes.record import record  # noqa: PLC0415 - rclpy, not needed for --repair
 
     if args.all and args.topics:
@@ -132,7 +128,8 @@ def _repair_lines(report: RepairReport) -> Iterator[tuple[str, str]]:
         yield "repaired", str(report.files[0].path.with_name("metadata.yaml"))
 
 
-def _replay(args: argparse.Namespace) -> int:
+def run_replay(args: argparse.Namespace) -> int:
+    """Replay a recording, and print the result."""
     from scara_effmass.nodes.replay import ReplayOptions, replay  # noqa: PLC0415 - rclpy
 
     options = ReplayOptions(
@@ -175,7 +172,8 @@ def _replay_lines(report: ReplayReport) -> Iterator[tuple[str, str]]:
         yield "warning", warning
 
 
-def _import(args: argparse.Namespace) -> int:
+def run_import(args: argparse.Namespace) -> int:
+    """Import force or joint states, and print the result."""
     names = flat_fields(ImportSettings)
     stated = {name: value for name, value in vars(args).items() if name in names and value is not None}
     settings = checked(ImportSettings, stated, "options")

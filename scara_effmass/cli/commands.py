@@ -14,7 +14,7 @@ from scara_effmass.wire.topics import RECORDED
 class Command(NamedTuple):
     """Help of one command, its options in groups and by name. Of several options in a group, exactly one is required.
 
-    `needs` has options that have an effect only with one of others.
+    `needs` has options that have an effect only with one of others; `function` runs the command.
     """
 
     summary: str
@@ -22,21 +22,11 @@ class Command(NamedTuple):
     groups: tuple[tuple[Option, ...], ...]
     options: dict[str, Option]
     needs: tuple[tuple[Option, tuple[Option, ...]], ...]
+    function: str
+    takes_ros_arguments: bool
 
 
 NODES = ("monitor", "daq", "validator", "speed_scaling", "sim", "visualization")
-ROS_COMMANDS = {*NODES, "record", "replay", "foxglove", "dashboard", "watch"}
-"""Commands that take ROS arguments."""
-PROTOCOL = tuple(f"protocol {step}" for step in ("init", "fill", "report", "schema"))
-MODULES = (
-    {"completion": "commands"}
-    | dict.fromkeys(("record", "replay", "import"), "bags")
-    | dict.fromkeys(("watch", "dashboard", "foxglove"), "displays")
-    | dict.fromkeys(("advise", "coverage"), "motion")
-    | dict.fromkeys(NODES, "nodes")
-    | dict.fromkeys(PROTOCOL, "protocol")
-)
-"""Modules of the commands that have no module of their name."""
 GROUPS = {"protocol": "write, fill in and render a measurement protocol of contact forces"}
 """Help of commands of two words, by the first word."""
 HELP = {
@@ -62,7 +52,8 @@ def _commands() -> dict[str, Command]:
             for option in ([by_name[item]] if item in by_name else options_of(item))
         ]
         epilog = stated["epilog"].replace("{recorded}", ", ".join(RECORDED))
-        commands[name] = Command(stated["summary"], epilog, tuple(groups), by_name, tuple(needs))
+        run = stated.get("function", f"{name}:run"), stated.get("ros", False)
+        commands[name] = Command(stated["summary"], epilog, tuple(groups), by_name, tuple(needs), *run)
     return commands
 
 

@@ -50,17 +50,12 @@ _FONT = (
 """Five rows of pixels of `_CHARACTERS`."""
 
 
-def run(args: argparse.Namespace) -> int:
-    """Show the cell until a signal ends it; return 0. Raises EffmassError."""
-    return {"watch": _watch, "dashboard": _dashboard, "foxglove": _foxglove}[args.command](args)
-
-
 def has_display() -> bool:
     """Return whether a browser can open a window here."""
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-def _dashboard(args: argparse.Namespace) -> int:
+def run_dashboard(args: argparse.Namespace) -> int:
     """Serve the page until a signal ends it; return 0. Raises EffmassError."""
     from scara_effmass.dashboard.server import bound_socket, is_local, serve  # noqa: PLC0415 - an extra
     from scara_effmass.nodes.cell_client import CellClient  # noqa: PLC0415 - rclpy
@@ -84,7 +79,7 @@ def _dashboard(args: argparse.Namespace) -> int:
     return 0
 
 
-def _foxglove(args: argparse.Namespace) -> int:
+def run_foxglove(args: argparse.Namespace) -> int:
     """Serve live topics until a signal ends it."""
     from scara_effmass.nodes.foxglove_server import serve  # noqa: PLC0415 - rclpy, and an optional library
 
@@ -100,7 +95,7 @@ def _foxglove(args: argparse.Namespace) -> int:
     return 0
 
 
-def _watch(args: argparse.Namespace) -> int:
+def run_watch(args: argparse.Namespace) -> int:
     """Show the cell until a signal ends it. Raises SettingsError without a terminal, or for invalid ROS arguments."""
     console = Console(file=live_file(sys.stdout), highlight=False, markup=False)
     problem = "" if sys.stdout.isatty() else "stdout must be a terminal"

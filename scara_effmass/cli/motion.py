@@ -37,12 +37,7 @@ MAX_LINES = 10
 COVERAGE, COUNTS = "coverage", "coverage.json"
 
 
-def run(args: argparse.Namespace) -> int:
-    """Advise on a recorded motion, or count what recordings cover."""
-    return _advise(args) if args.command == "advise" else _coverage(args)
-
-
-def _advise(args: argparse.Namespace) -> int:
+def run_advise(args: argparse.Namespace) -> int:
     """Assess the recording, write factors, figure and re-timed motion, and print them."""
     settings = monitor_settings(args, latch=False, release_time=0.0)  # each state by itself
     require_no_payload_topic(settings, "advice")
@@ -126,7 +121,7 @@ def _segments(motion: Motion, advice: Advice) -> Iterator[dict[str, Any]]:
         yield {"segment": number, **times, "factor": factor, "decides": reason}
 
 
-def _coverage(args: argparse.Namespace) -> int:
+def run_coverage(args: argparse.Namespace) -> int:
     """Count the joint states of the recordings and of earlier files, write figure and counts, and print the shares."""
     settings = monitor_settings(args)
     check_output_files(args.output, [COUNTS, *figure_files([COVERAGE])], overwrite=args.force)

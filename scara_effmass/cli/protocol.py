@@ -50,18 +50,14 @@ GAPS_SHOWN = 3
 BASE_AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
-def run(args: argparse.Namespace) -> int:
-    """Run one step."""
-    steps = {"init": _init, "fill": _fill, "report": _report, "schema": _schema}
-    return steps[args.command.rpartition(" ")[2]](args)
-
-
-def _schema(_: argparse.Namespace) -> int:
+def run_schema(_: argparse.Namespace) -> int:
+    """Print the JSON schema of a protocol."""
     print_json(Protocol.model_json_schema())
     return 0
 
 
-def _init(args: argparse.Namespace) -> int:
+def run_init(args: argparse.Namespace) -> int:
+    """Write a protocol with proposed test points, and print them."""
     check_output_path(args.output, overwrite=args.force, mark=MARK)
     settings = monitor_settings(args)
     if args.map:
@@ -116,7 +112,8 @@ def _add_workspace(plan: Plan, args: argparse.Namespace, settings: MonitorSettin
             plan.add(contact, dict(zip(dynamics.robot.joint_names, q, strict=True)), at_limit=True)
 
 
-def _fill(args: argparse.Namespace) -> int:
+def run_fill(args: argparse.Namespace) -> int:
+    """Enter the contacts of recordings, evaluate, and print the verdicts."""
     target, folder = args.output or args.protocol, args.protocol.parent
     overwrite = args.force or target == args.protocol
     check_output_path(target, overwrite=overwrite, mark=MARK)
@@ -129,7 +126,8 @@ def _fill(args: argparse.Namespace) -> int:
     return _printed(protocol, {"output": str(target), "losses": losses}, target, as_json=args.json)
 
 
-def _report(args: argparse.Namespace) -> int:
+def run_report(args: argparse.Namespace) -> int:
+    """Evaluate, write the report, and print the verdicts."""
     options = PageOptions(args.language, args.pdf)
     check_output_files(args.output, [PAGE, RECORD, *options.files()], overwrite=args.force)
     protocol = evaluated(read_protocol(args.protocol), args.protocol.parent)
