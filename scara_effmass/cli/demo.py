@@ -21,7 +21,7 @@ from scara_effmass.analysis.assessment import (
     payload_topics,
     require_stated_robot,
 )
-from scara_effmass.analysis.contacts import recorded_contacts
+from scara_effmass.analysis.forces import recorded_contacts
 from scara_effmass.analysis.output import check_output_files
 from scara_effmass.analysis.report import PAGE, PageOptions
 from scara_effmass.analysis.run_report import RunReport

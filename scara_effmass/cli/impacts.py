@@ -4,8 +4,7 @@
 import argparse
 from pathlib import Path
 
-from scara_effmass.analysis.contacts import recorded_contacts
-from scara_effmass.analysis.forces import force_topics
+from scara_effmass.analysis.forces import force_topics, recorded_contacts
 from scara_effmass.bags.files import find_bags, open_bag
 from scara_effmass.cli.console import print_json, print_lines, print_table, progress_bar
 from scara_effmass.cli.options import override, selected

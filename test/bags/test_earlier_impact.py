@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from scara_effmass.analysis.contacts import NO_BLOCKS, recorded_contacts
+from scara_effmass.analysis.forces import NO_BLOCKS, recorded_contacts
 from scara_effmass.bags.definitions import own_types
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from nptdms import ChannelObject, TdmsWriter
 
-from scara_effmass.analysis.contacts import recorded_contacts
+from scara_effmass.analysis.forces import recorded_contacts
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.settings import DetectionSettings, ImportSettings
