@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures of a robot at its zero pose: the polytopes that `whole_arm` watches, and the lumped masses."""
+"""Pictures of a robot: the polytopes that `whole_arm` watches, the lumped masses, and the masses by motion."""
 
 from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
 import numpy as np
@@ -13,10 +15,14 @@ from mpl_toolkits.mplot3d import Axes3D  # type: ignore[import-untyped]
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
 
 from scara_effmass.analysis.report import CYCLE, INK, STYLE, distinct_colors, figure_text, new_figure
+from scara_effmass.identification.regression import Z_95
 from scara_effmass.model.hulls import triangles
 from scara_effmass.model.lumping import LumpedModel
 from scara_effmass.model.robot import Robot
 from scara_effmass.values import FloatArray
+
+if TYPE_CHECKING:
+    from scara_effmass.analysis.identification import Identification
 
 BALL_PT = 9.0
 """Diameter of the ball of a mass of 1 kg; its volume is in proportion to the mass."""
@@ -27,7 +33,7 @@ TICKS = 20
 
 
 def draw_hulls(robot: Robot) -> Figure:
-    """Return the picture of the hulls, the joints and the named contact points.
+    """Return the picture of the hulls, the joints and the named contact points at the zero pose.
 
     A contact has the same colour in the maps of the workspace.
     """
@@ -54,7 +60,7 @@ def draw_hulls(robot: Robot) -> Figure:
 
 
 def draw_masses(robot: Robot, lumped: LumpedModel) -> Figure:
-    """Return the picture of the masses on the robot, as in Figs. 1 and 3 of the paper."""
+    """Return the picture of the masses on the robot at the zero pose, as in Figs. 1 and 3 of the paper."""
     poses = _zero_poses(robot)
     masses = [(mass.mass, _placed(poses, mass.joint, np.array(mass.point))) for mass in lumped.masses]
     origins = np.vstack([np.zeros(3), poses[:, :3, 3], _placed(poses, len(poses), robot.tip.translation)])
@@ -77,6 +83,37 @@ def draw_masses(robot: Robot, lumped: LumpedModel) -> Figure:
             axes.text(*key, label.replace("kg   ", "kg\n   "), fontsize=8.5, va="center")
         _set_equal_axes(axes, everything)
         axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
+    return figure
+
+
+def draw_identification(found: Identification) -> Figure:
+    """Return the picture of one identification: masses beside those by the file, and torques beside those measured."""
+    masses, torques, names = found.masses, found.torques, found.robot.joint_names
+    with mpl.rc_context(STYLE):
+        title = figure_text(f"Masses of {found.robot.name} by {found.path.name}")
+        figure = new_figure(12.0, max(4.5, 1.0 + 1.1 * len(names)), title)
+        grid = figure.add_gridspec(len(names), 2, width_ratios=(1.0, 1.4))
+        left = figure.add_subplot(grid[:, 0])
+        kinds = np.array(masses.directions)
+        for kind, color in zip(("worst", "vertical", "random"), distinct_colors(3), strict=True):
+            rows = kinds == kind
+            half = Z_95 * masses.deviations[rows]
+            style: dict[str, Any] = {"fmt": ".", "color": color, "elinewidth": 0.5, "markersize": 3.0}
+            left.errorbar(masses.stated[rows], masses.identified[rows], half, label=f"{kind} direction", **style)
+        ends = np.percentile(np.concatenate((masses.stated, masses.identified)), [1.0, 98.0]) * [0.8, 1.25]
+        left.plot(ends, ends, color=INK, linewidth=1.0, label="as by the file")
+        left.set(xscale="log", yscale="log", xlim=ends, ylim=ends)
+        left.set(xlabel="effective mass by the file [kg]", ylabel="identified, with 95 % [kg]")
+        left.legend(loc="upper left")
+        for i, (name, revolute) in enumerate(zip(names, found.robot.revolute, strict=True)):
+            right, unit = figure.add_subplot(grid[i, 1]), "N m" if revolute else "N"
+            right.plot(torques.seconds, torques.measured[:, i], color=CYCLE[0], linewidth=1.6, label="torque, recorded")
+            right.plot(torques.seconds, torques.modelled[:, i], color=INK, linewidth=0.8, label="identified, in motion")
+            right.set_title(f"{name} [{unit}]", fontsize="small", pad=2.0)
+            right.tick_params(labelbottom=i == len(names) - 1)
+            if i == 0:
+                right.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
+        right.set_xlabel("time [s], 0 at the end of the recording")
     return figure
 
 

@@ -20,7 +20,7 @@ def run(args: argparse.Namespace) -> int:
     corrected = corrected_name(settings.robot_path)
     if args.output:
         from scara_effmass.analysis import report  # noqa: PLC0415 - matplotlib, an extra
-        from scara_effmass.analysis.identification_figure import draw_identification  # noqa: PLC0415
+        from scara_effmass.analysis.robot_figures import draw_identification  # noqa: PLC0415
 
         check_output_files(args.output, [*report.figure_files([NAME]), RESULT], overwrite=args.force)
         check_output_path(args.output / corrected, overwrite=args.force, mark=b"identified by scara-effmass")
