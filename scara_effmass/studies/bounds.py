@@ -36,7 +36,6 @@ from scara_effmass.safety import Monitor
 from scara_effmass.settings import WHOLE_ARM, MassModel, MonitorSettings, ServoSettings
 from scara_effmass.share import share
 from scara_effmass.sim.plate_sim import AT_REST, PlateSim, Surface
-from scara_effmass.studies.random_arm import random_arm
 from scara_effmass.values import FloatArray, Verdict
 
 SMALL_TURN = 0.02
@@ -61,6 +60,12 @@ ROBOTS: Mapping[str, Mapping[str, Any]] = TABLES["robots"]
 RANDOM_ARM = "random arm "
 RANDOM_CASE: Mapping[str, Any] = {"contact_points": ("tip", "wrist=link2")}
 RANDOM_ARMS = 40
+MIN_AXES, MAX_AXES = 3, 7
+MAX_SPEED = 3.0
+"""Speed limit of each joint of a random arm [rad/s]."""
+SERIES = 7
+"""Keeps the random numbers of arms apart from those of impacts."""
+GRAVITY = 9.81
 MAX_MONITORS = 50
 """Number of monitors with different settings that an arm keeps."""
 NO_MARGINS: Mapping[str, Any] = TABLES["no_margins"]
@@ -194,6 +199,51 @@ def arm_of(robot: str, *, is_whole: bool = False) -> MonitoredArm:
         text = _with_boxes(case) if robot in ROBOTS else random_arm(int(robot.removeprefix(RANDOM_ARM)))
         path.write_text(text, encoding="utf-8")
         return MonitoredArm(path, settings, armature)
+
+
+def random_arm(seed: int) -> str:
+    """Return the URDF of arm number `seed`: 3 to 7 revolute axes along x, y or z, no two in a row the same.
+
+    Links are boxes, 0.1 to 0.4 m long, and weigh 6 kg at the base to 1 kg at the tip, each times 0.5 to 2. Gravity
+    cannot exceed the effort limits.
+    """
+    rng = np.random.default_rng((SERIES, seed))
+    axes = int(rng.integers(MIN_AXES, MAX_AXES + 1))
+    lengths = rng.uniform(0.1, 0.4, axes + 1)
+    masses = np.linspace(6.0, 1.0, axes) * rng.uniform(0.5, 2.0, axes)
+    spans = [np.array([0.0, 0.0, lengths[0]])]
+    for length in lengths[1:]:
+        direction = rng.normal(size=3)
+        spans.append(direction * (length / np.linalg.norm(direction)))
+    text, axis, parent = '<robot name="random_arm">\n  <link name="base"/>\n', 2, "base"
+    for i in range(axes):
+        span, thickness = spans[i + 1], float(rng.uniform(0.04, 0.1))
+        size = np.abs(span) + thickness
+        squares = np.square(size)
+        ixx, iyy, izz = (masses[i] / 12.0 * (squares.sum() - squares)).tolist()
+        link, com = f"link{i + 1}", _xyz(0.5 * span)
+        effort = GRAVITY * float(masses[i:].sum() * lengths[i + 1 :].sum())
+        text += f"""  <link name="{link}"><inertial>
+    <origin xyz="{com}"/><mass value="{masses[i]:.6f}"/>
+    <inertia ixx="{ixx:.6f}" iyy="{iyy:.6f}" izz="{izz:.6f}" ixy="0" ixz="0" iyz="0"/>
+  </inertial><collision><origin xyz="{com}"/><geometry><box size="{_xyz(size)}"/></geometry></collision></link>
+  <joint name="joint{i + 1}" type="revolute">
+    <parent link="{parent}"/><child link="{link}"/><origin xyz="{_xyz(spans[i])}"/><axis xyz="{_xyz(np.eye(3)[axis])}"/>
+    <limit lower="-2.9" upper="2.9" velocity="{MAX_SPEED}" effort="{effort:.3f}"/>
+    <dynamics armature="{rng.uniform(0.0, 0.1):.4f}"/>
+  </joint>
+"""
+        axis, parent = (axis + int(rng.integers(1, 3))) % 3, link
+    return f"""{text}  <link name="tip"/>
+  <joint name="tip_joint" type="fixed">
+    <parent link="{parent}"/><child link="tip"/><origin xyz="{_xyz(spans[-1])}"/>
+  </joint>
+</robot>
+"""
+
+
+def _xyz(vector: FloatArray) -> str:
+    return " ".join(f"{number:.6f}" for number in vector)
 
 
 def _with_boxes(case: Mapping[str, Any]) -> str:
