@@ -11,13 +11,12 @@ q'' = x q''_rec + x' q'_rec / 2.
 from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
-from scara_effmass.analysis.report import CYCLE, STYLE, figure_text, new_figure
+from scara_effmass.analysis.report import CYCLE, figure_text, new_figure, styled
 from scara_effmass.cell.scaled_trajectory import ScaledTrajectory
 from scara_effmass.codes import Reason
 from scara_effmass.errors import BagError
@@ -255,17 +254,17 @@ def _smallest(allowed: _Allowed, owner: IntArray, count: int) -> tuple[FloatArra
     return smallest, reasons
 
 
+@styled
 def draw_advice(motion: Motion, advice: Advice, title: str) -> Figure:
     """Return the figure: speed over allowable speed of both motions, and the factors, over the recorded time."""
-    with mpl.rc_context(STYLE):
-        figure = new_figure(9.0, 5.5, figure_text(title))
-        used, factor = figure.subplots(2, 1, sharex=True)
-        used.plot(motion.time, advice.recorded, color=CYCLE[1], label="as recorded")
-        if advice.states:
-            used.plot(advice.path_time, advice.advised, color=CYCLE[0], label="as advised")
-        used.axhline(1.0, color="0.3", linestyle="--", label="allowable speed")
-        used.set(ylabel=f"speed / allowable speed\n(at most {MAX_SHARE:g})", ylim=(0.0, None))
-        used.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
-        factor.step(motion.time, advice.factors[advice.segment], where="post", color=CYCLE[0])
-        factor.set(xlabel="recorded time [s]", ylabel="factor", ylim=(0.0, 1.05))
+    figure = new_figure(9.0, 5.5, figure_text(title))
+    used, factor = figure.subplots(2, 1, sharex=True)
+    used.plot(motion.time, advice.recorded, color=CYCLE[1], label="as recorded")
+    if advice.states:
+        used.plot(advice.path_time, advice.advised, color=CYCLE[0], label="as advised")
+    used.axhline(1.0, color="0.3", linestyle="--", label="allowable speed")
+    used.set(ylabel=f"speed / allowable speed\n(at most {MAX_SHARE:g})", ylim=(0.0, None))
+    used.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
+    factor.step(motion.time, advice.factors[advice.segment], where="post", color=CYCLE[0])
+    factor.set(xlabel="recorded time [s]", ylabel="factor", ylim=(0.0, 1.05))
     return figure

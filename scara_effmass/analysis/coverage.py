@@ -11,13 +11,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from pydantic import BaseModel, NonNegativeInt
 
-from scara_effmass.analysis.report import CYCLE, STYLE, figure_text, new_figure
+from scara_effmass.analysis.report import CYCLE, figure_text, new_figure, styled
 from scara_effmass.analysis.summary import NUMBER
 from scara_effmass.errors import SettingsError
 from scara_effmass.input_files import read_text
@@ -132,35 +131,35 @@ class Coverage(BaseModel):
                 shares[name] = len(visited) / len(bins)
         return {**shares, "poses": len(self.poses) / POSE_BINS ** len(self.ranges), "fastest_bin_from_m_s": fastest}
 
+    @styled
     def figure(self) -> Figure:
         """Draw the bins of the joints, and of direction and speed of each contact point."""
         points = [name.partition(" ")[2] for name in self.counts if name.startswith("direction ")]
-        with mpl.rc_context(STYLE):
-            height = 0.32 * len(self.ranges) + 1.4
-            title = f"{self.robot}: coverage, recordings: {len(self.recordings)}, joint states: {self.joint_states}"
-            figure = new_figure(11.0, height + 3.3 * len(points), figure_text(title))
-            grid = figure.add_gridspec(1 + len(points), 2, height_ratios=[height, *[3.0] * len(points)])
-            joints = figure.add_subplot(grid[0, :])
-            rows = np.array([self.counts[f"position {name}"] for name in self.ranges], float)
-            _draw_bins(joints, rows, (0.0, 100.0), (0.0, len(rows)))
-            names = [f"{name}, {lower:.2f} to {upper:.2f}" for name, (lower, upper) in self.ranges.items()]
-            joints.set_yticks(np.arange(len(names)) + 0.5, names)
-            joints.invert_yaxis()
-            joints.set(xlabel="position within the range of the joint [%]")
-            for row, point in enumerate(points, start=1):
-                directions = figure.add_subplot(grid[row, 0])
-                table = np.reshape(self.counts[f"direction {point}"], (ELEVATIONS, AZIMUTHS)).astype(float)
-                _draw_bins(directions, table, (-180.0, 180.0), (-1.0, 1.0))
-                directions.set(xlabel="azimuth of the velocity [deg]", ylabel="its z component", title=point)
-                speeds = figure.add_subplot(grid[row, 1])
-                speeds.bar(range(len(SPEEDS)), self.counts[f"speed {point}"], width=0.9, color=CYCLE[0])
-                speeds.set_xticks(range(len(SPEEDS)), [f"{speed:g}" for speed in SPEEDS], rotation=90.0)
-                speeds.set(
-                    xlabel="speed, from [m/s]",
-                    ylabel="joint states",
-                    title=point,
-                    yscale=_log_scale(self.joint_states > 0),
-                )
+        height = 0.32 * len(self.ranges) + 1.4
+        title = f"{self.robot}: coverage, recordings: {len(self.recordings)}, joint states: {self.joint_states}"
+        figure = new_figure(11.0, height + 3.3 * len(points), figure_text(title))
+        grid = figure.add_gridspec(1 + len(points), 2, height_ratios=[height, *[3.0] * len(points)])
+        joints = figure.add_subplot(grid[0, :])
+        rows = np.array([self.counts[f"position {name}"] for name in self.ranges], float)
+        _draw_bins(joints, rows, (0.0, 100.0), (0.0, len(rows)))
+        names = [f"{name}, {lower:.2f} to {upper:.2f}" for name, (lower, upper) in self.ranges.items()]
+        joints.set_yticks(np.arange(len(names)) + 0.5, names)
+        joints.invert_yaxis()
+        joints.set(xlabel="position within the range of the joint [%]")
+        for row, point in enumerate(points, start=1):
+            directions = figure.add_subplot(grid[row, 0])
+            table = np.reshape(self.counts[f"direction {point}"], (ELEVATIONS, AZIMUTHS)).astype(float)
+            _draw_bins(directions, table, (-180.0, 180.0), (-1.0, 1.0))
+            directions.set(xlabel="azimuth of the velocity [deg]", ylabel="its z component", title=point)
+            speeds = figure.add_subplot(grid[row, 1])
+            speeds.bar(range(len(SPEEDS)), self.counts[f"speed {point}"], width=0.9, color=CYCLE[0])
+            speeds.set_xticks(range(len(SPEEDS)), [f"{speed:g}" for speed in SPEEDS], rotation=90.0)
+            speeds.set(
+                xlabel="speed, from [m/s]",
+                ylabel="joint states",
+                title=point,
+                yscale=_log_scale(self.joint_states > 0),
+            )
         return figure
 
 

@@ -55,6 +55,8 @@ STYLE: dict[Any, Any] = {
     "legend.frameon": False,
     "image.cmap": "cividis",  # readable with colour blindness, and red is visible on all of it
 }
+styled = mpl.rc_context(STYLE)
+"""Decorator of a function that draws."""
 ISO_RED = "#D00000"
 INK = "#222222"
 CYCLE = ("#0072B2", "#E69F00", "#009E73", "#CC79A7")
@@ -245,7 +247,7 @@ def figure_text(text: str) -> str:
 
 
 def new_figure(width: float, height: float, title: str) -> Figure:
-    """Return an empty figure of `width` by `height` [inch]; create and save it in the rc context `STYLE`."""
+    """Return an empty figure of `width` by `height` [inch], for a function that is `styled`."""
     figure = Figure(figsize=(width, height), layout="compressed")
     FigureCanvasAgg(figure)
     figure.suptitle(title, x=0.01, ha="left", fontweight="bold")

@@ -187,6 +187,7 @@ class RunReport:
             yield limit, len(episodes), min(margins, default=None), verdict
 
 
+@mpl.rc_context(_STYLE)
 def draw_run(
     series: TimeSeries,
     *,
@@ -200,26 +201,25 @@ def draw_run(
 
     A gap longer than `timeout` [s] without joint states is UNKNOWN. `forces` get a panel of their own.
     """
-    with mpl.rc_context(_STYLE):
-        heights = (0.25, 2.2, 1.6, 1.3) if forces else (0.25, 2.2, 1.6)
-        figure = new_figure(13.0, 1.9 * sum(heights), figure_text(title))
-        rows = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
-        band, speeds, masses = rows[:3]
-        series = series.with_gaps(timeout)
-        episodes = list(intervals(series, timeout))
-        _draw_verdicts(band, episodes, min_width=float(series.time[-1]) / COLUMNS)
-        _draw_speeds(speeds, series)
-        _draw_masses(masses, series, mass_model)
-        if forces:
-            _draw_forces(rows[-1], forces, series.start_ns)
-        rows[-1].set_xlabel("time since the first joint state [s]")
-        masses.set_xlim(0.0, max(float(series.time[-1]), 1e-3))
-        unknown = [(item.start, item.stop - item.start) for item in episodes if item.verdict is Verdict.UNKNOWN]
-        style = {"facecolor": "none", "edgecolor": "#BBBBBB", "hatch": "////", "linewidth": 0.0}
-        for axes in (speeds, masses):
-            axes.broken_barh(unknown, (0.0, 1.0), transform=axes.get_xaxis_transform(), zorder=0, **style)
-        band.set_title(subtitle, fontsize=9.5, color="#444444")
-        figure.align_ylabels()
+    heights = (0.25, 2.2, 1.6, 1.3) if forces else (0.25, 2.2, 1.6)
+    figure = new_figure(13.0, 1.9 * sum(heights), figure_text(title))
+    rows = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
+    band, speeds, masses = rows[:3]
+    series = series.with_gaps(timeout)
+    episodes = list(intervals(series, timeout))
+    _draw_verdicts(band, episodes, min_width=float(series.time[-1]) / COLUMNS)
+    _draw_speeds(speeds, series)
+    _draw_masses(masses, series, mass_model)
+    if forces:
+        _draw_forces(rows[-1], forces, series.start_ns)
+    rows[-1].set_xlabel("time since the first joint state [s]")
+    masses.set_xlim(0.0, max(float(series.time[-1]), 1e-3))
+    unknown = [(item.start, item.stop - item.start) for item in episodes if item.verdict is Verdict.UNKNOWN]
+    style = {"facecolor": "none", "edgecolor": "#BBBBBB", "hatch": "////", "linewidth": 0.0}
+    for axes in (speeds, masses):
+        axes.broken_barh(unknown, (0.0, 1.0), transform=axes.get_xaxis_transform(), zorder=0, **style)
+    band.set_title(subtitle, fontsize=9.5, color="#444444")
+    figure.align_ylabels()
     return figure
 
 

@@ -23,7 +23,6 @@ from scara_effmass.analysis.report import (
     INK,
     ISO_RED,
     PAGE,
-    STYLE,
     PageOptions,
     ReportFigure,
     figure_files,
@@ -33,6 +32,7 @@ from scara_effmass.analysis.report import (
     render,
     report_figure,
     setting_rows,
+    styled,
     write_report_files,
 )
 from scara_effmass.analysis.validation import Validation, ValidationSettings
@@ -74,6 +74,7 @@ EXPONENTS = {"0.5, linear spring": (0.5, "--", GREY), "0.6, Hertz": (0.6, ":", G
 ROOT = r"$v\sqrt{\mu}$ [m/s $\sqrt{\mathrm{kg}}$]"
 
 
+@styled
 def write_report(
     validation: Validation,
     settings: ValidationSettings,
@@ -84,13 +85,11 @@ def write_report(
     overwrite: bool,
 ) -> dict[str, Any]:
     """Write `FILES` into `folder`; return the content of `RECORD`. Raises OutputError and BagError."""
-    figures = []
-    for (name, texts), draw in zip(
-        FIGURES.items(), (draw_forces, draw_masses, draw_differences, draw_exponent), strict=True
-    ):
-        with mpl.rc_context(STYLE):
-            drawing = draw(validation.result)
-            figures.append(report_figure(name, texts["title"], texts["caption"], drawing, options.language))
+    drawings = (draw(validation.result) for draw in (draw_forces, draw_masses, draw_differences, draw_exponent))
+    figures = [
+        report_figure(name, texts["title"], texts["caption"], drawing, options.language)
+        for (name, texts), drawing in zip(FIGURES.items(), drawings, strict=True)
+    ]
     results = record(validation, settings, robot)
     page = _page(validation, figures, settings, robot, options.language)
     write_report_files(folder, {PAGE: page, RECORD: results}, figures, options, overwrite=overwrite)

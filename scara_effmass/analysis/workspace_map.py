@@ -15,7 +15,6 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, NamedTuple
 
-import matplotlib as mpl
 import numpy as np
 import pyarrow as pa
 from matplotlib.axes import Axes
@@ -24,7 +23,7 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from scara_effmass.analysis.report import ISO_RED, STYLE, distinct_colors, figure_text, new_figure
+from scara_effmass.analysis.report import ISO_RED, distinct_colors, figure_text, new_figure, styled
 from scara_effmass.analysis.summary import mass_model_counts
 from scara_effmass.errors import RobotError
 from scara_effmass.model.poses import ManyPoses
@@ -212,6 +211,7 @@ class Cells:
         indices: NDArray[np.int64] = order[np.unique(self.of[order], return_index=True)[1]]
         return indices
 
+    @styled
     def draw(
         self,
         title: str,
@@ -223,25 +223,24 @@ class Cells:
 
         `iso_mass` [kg] is drawn on the first colour bar. `deciding` (c,) names contacts, for a panel of its own.
         """
-        with mpl.rc_context(STYLE):
-            count = len(panels) + bool(deciding)
-            columns = min(count, 2)
-            rows = -(-count // columns)
-            figure = new_figure(max(6.2 * columns, 8.5), 5.2 * rows + 0.3, title)
-            for number, (label, values) in enumerate(panels.items()):
-                axes = figure.add_subplot(rows, columns, number + 1)
-                is_speed = label.endswith("[m/s]")
-                top = np.nanpercentile(values, 100.0 if is_speed else COLOUR_PERCENTILE)
-                mesh = self._draw_cells(axes, values, cmap="cividis_r" if is_speed else "cividis", vmax=top)
-                bar = figure.colorbar(mesh, ax=axes, label=label, extend="neither" if is_speed else "max")
-                axes.set_title(f"({'abcdefgh'[number]})")
-                if iso_mass is not None and number == 0:
-                    bar.ax.axhline(iso_mass, color=ISO_RED, linewidth=2.5)
-                    axes.set_title(f"(a)  red on the scale: ISO, M/2 + m_L = {iso_mass:.2f} kg")
-            if deciding:
-                axes = figure.add_subplot(rows, columns, count)
-                axes.set_title(f"({'abcdefgh'[count - 1]})")
-                self._draw_contacts(axes, deciding)
+        count = len(panels) + bool(deciding)
+        columns = min(count, 2)
+        rows = -(-count // columns)
+        figure = new_figure(max(6.2 * columns, 8.5), 5.2 * rows + 0.3, title)
+        for number, (label, values) in enumerate(panels.items()):
+            axes = figure.add_subplot(rows, columns, number + 1)
+            is_speed = label.endswith("[m/s]")
+            top = np.nanpercentile(values, 100.0 if is_speed else COLOUR_PERCENTILE)
+            mesh = self._draw_cells(axes, values, cmap="cividis_r" if is_speed else "cividis", vmax=top)
+            bar = figure.colorbar(mesh, ax=axes, label=label, extend="neither" if is_speed else "max")
+            axes.set_title(f"({'abcdefgh'[number]})")
+            if iso_mass is not None and number == 0:
+                bar.ax.axhline(iso_mass, color=ISO_RED, linewidth=2.5)
+                axes.set_title(f"(a)  red on the scale: ISO, M/2 + m_L = {iso_mass:.2f} kg")
+        if deciding:
+            axes = figure.add_subplot(rows, columns, count)
+            axes.set_title(f"({'abcdefgh'[count - 1]})")
+            self._draw_contacts(axes, deciding)
         return figure
 
     def _draw_cells(self, axes: Axes, values: Sequence[float] | FloatArray, **style: Any) -> QuadMesh:  # noqa: ANN401

@@ -15,7 +15,6 @@ from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import matplotlib as mpl
 import numpy as np
 import pyarrow as pa
 from matplotlib.figure import Figure
@@ -23,7 +22,7 @@ from pyarrow import compute, csv
 from scipy.stats import binomtest
 
 from scara_effmass import __version__
-from scara_effmass.analysis.report import CYCLE, INK, STYLE, new_figure, render, report_figure, write_report_files
+from scara_effmass.analysis.report import CYCLE, INK, new_figure, render, report_figure, styled, write_report_files
 from scara_effmass.errors import OutputError, writing
 from scara_effmass.iso15066 import Limit, limits_for
 from scara_effmass.model.lumping import is_scara
@@ -436,28 +435,28 @@ class Evidence:
         return rows
 
 
+@styled
 def draw_evidence(evidence: Evidence) -> Figure:
     """Return the figure: share of the impacts above a multiple of the limit, for each setting."""
-    with mpl.rc_context(STYLE):
-        title = f"Peak force over limit at the allowed speed: {evidence.impacts} simulated impacts"
-        figure = new_figure(11.0, 10.0, title)
-        panels = figure.subplots(len(DRIVES), len(PLACES), sharex=True, sharey=True)
-        for axes, (drives, place) in zip(panels.flat, product(DRIVES, PLACES), strict=True):
-            for colour, (setting, label) in zip(CYCLE, LABELS.items(), strict=False):
-                ratios = np.sort(evidence.ratios(setting=setting, drives=drives, place=place, plate=WORST))
-                if len(ratios):
-                    share = 1.0 - np.arange(len(ratios)) / len(ratios)
-                    axes.step(ratios, share, where="pre", color=colour, label=label, linewidth=1.8)
-            axes.axvline(1.0, color=INK, linewidth=1.0)
-            axes.axhline(0.5, color=INK, linewidth=0.6, linestyle=":")
-            axes.set(title=f"{DRIVES[drives]}, {PLACES[place]}", yscale="log", xlim=(0.0, 2.5))
-            axes.grid(alpha=0.3)
-        for axes in panels[:, 0]:
-            axes.set_ylabel("share of impacts above")
-        for axes in panels[-1]:
-            axes.set_xlabel("peak force / limit")
-        handles, labels = panels[0, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=2)
+    title = f"Peak force over limit at the allowed speed: {evidence.impacts} simulated impacts"
+    figure = new_figure(11.0, 10.0, title)
+    panels = figure.subplots(len(DRIVES), len(PLACES), sharex=True, sharey=True)
+    for axes, (drives, place) in zip(panels.flat, product(DRIVES, PLACES), strict=True):
+        for colour, (setting, label) in zip(CYCLE, LABELS.items(), strict=False):
+            ratios = np.sort(evidence.ratios(setting=setting, drives=drives, place=place, plate=WORST))
+            if len(ratios):
+                share = 1.0 - np.arange(len(ratios)) / len(ratios)
+                axes.step(ratios, share, where="pre", color=colour, label=label, linewidth=1.8)
+        axes.axvline(1.0, color=INK, linewidth=1.0)
+        axes.axhline(0.5, color=INK, linewidth=0.6, linestyle=":")
+        axes.set(title=f"{DRIVES[drives]}, {PLACES[place]}", yscale="log", xlim=(0.0, 2.5))
+        axes.grid(alpha=0.3)
+    for axes in panels[:, 0]:
+        axes.set_ylabel("share of impacts above")
+    for axes in panels[-1]:
+        axes.set_xlabel("peak force / limit")
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=2)
     return figure
 
 

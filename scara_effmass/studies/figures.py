@@ -25,11 +25,11 @@ from scara_effmass.analysis.report import (
     INK,
     ISO_RED,
     MARKERS,
-    STYLE,
     figure_files,
     new_figure,
     render,
     report_figure,
+    styled,
     write_report_files,
 )
 from scara_effmass.input_files import read_table
@@ -449,6 +449,7 @@ class FigureSet:
         }
 
 
+@styled
 def make_figure_set(
     inputs: FigureInputs,
     folder: Path,
@@ -465,8 +466,7 @@ def make_figure_set(
     check_output_files(folder, [PAGE, CLAIMS, *figure_files(names)], overwrite=overwrite)
     figures = []
     for name, (draw, caption) in zip(names, captions.items(), strict=True):
-        with mpl.rc_context(STYLE):
-            figures.append(report_figure(name, name.replace("figure_", "Fig. "), caption, draw(inputs)))
+        figures.append(report_figure(name, name.replace("figure_", "Fig. "), caption, draw(inputs)))
         advance()
     # Not on the joint grid: with a stretched arm the tool cannot move along n.
     agreement = compare_models(inputs.dynamics, inputs.scara, *equal_area_poses(inputs.scara))

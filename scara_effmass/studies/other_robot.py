@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -13,12 +12,12 @@ from scara_effmass.analysis.output import check_output_files
 from scara_effmass.analysis.report import (
     CYCLE,
     ISO_RED,
-    STYLE,
     figure_files,
     figure_text,
     new_figure,
     render,
     report_figure,
+    styled,
     write_report_files,
 )
 from scara_effmass.analysis.tables import provenance
@@ -104,22 +103,22 @@ class RobotMasses:
         largest = {label: sign * self._cells.largest(sign * values) for label, values in panels.items()}
         return self._cells.draw(f"{title}\n{figure_text(self.robot.name)}, seen from above", largest, iso_mass)
 
+    @styled
     def _density(self) -> Figure:
         """Return the probability density of the masses along x over the area of the workspace."""
         share = 1.0 / np.bincount(self._cells.of)[self._cells.of]
         finite = np.concatenate([mass[np.isfinite(mass)] for mass in self.masses.values()])
         edges = np.linspace(0.0, float(np.percentile(finite, MAX_SHOWN_PERCENTILE)), BINS + 1)
-        with mpl.rc_context(STYLE):
-            figure = new_figure(8.5, 5.0, f"Fig. 8  Probability density, n = [1 0 0]\n{figure_text(self.robot.name)}")
-            axes = figure.subplots()
-            for color, (model, mass) in zip(CYCLE, self.masses.items(), strict=False):
-                known = np.isfinite(mass)
-                shares, _ = np.histogram(mass[known], edges, weights=share[known] / share[known].sum())
-                axes.stairs(shares / (edges[1] - edges[0]), edges, color=color, linewidth=1.8, label=NAMES[model])
-            iso_mass = self.robot.iso_mass
-            axes.axvline(iso_mass, color=ISO_RED, linewidth=2.0, label=f"ISO, M/2 + m_L = {iso_mass:.2f} kg")
-            axes.set(xlabel="effective mass along x [kg]", ylabel="probability density [1/kg]")
-            axes.legend()
+        figure = new_figure(8.5, 5.0, f"Fig. 8  Probability density, n = [1 0 0]\n{figure_text(self.robot.name)}")
+        axes = figure.subplots()
+        for color, (model, mass) in zip(CYCLE, self.masses.items(), strict=False):
+            known = np.isfinite(mass)
+            shares, _ = np.histogram(mass[known], edges, weights=share[known] / share[known].sum())
+            axes.stairs(shares / (edges[1] - edges[0]), edges, color=color, linewidth=1.8, label=NAMES[model])
+        iso_mass = self.robot.iso_mass
+        axes.axvline(iso_mass, color=ISO_RED, linewidth=2.0, label=f"ISO, M/2 + m_L = {iso_mass:.2f} kg")
+        axes.set(xlabel="effective mass along x [kg]", ylabel="probability density [1/kg]")
+        axes.legend()
         return figure
 
 
