@@ -40,6 +40,7 @@ from scara_effmass.analysis.protocol import (
     Motion,
     Protocol,
     Repetition,
+    TestPoint,
     missing,
 )
 from scara_effmass.analysis.report import PAGE, PageOptions, file_hashes, render, write_report_files
@@ -103,7 +104,9 @@ def filled(
     problems = filter(None, (validation.result.clock, validation.result.force_sign))
     left_out = [LeftOutForce(reason=problem, count=1, complete=False) for problem in problems]
     for recording in validation.recordings:
-        raw = _raw_data(recording, folder)
+        path = recording.files[-1]
+        raw_data = os.path.relpath(path.resolve(), folder.resolve())
+        raw: dict[str, Any] = {"raw_data": raw_data, "raw_sha256": digest(path, BagError)}
         found: list[ValidatedImpact | RefusedImpact] = [*recording.impacts]
         others = list(recording.refused)
         if test.point.contact is ContactType.QUASI_STATIC:
@@ -121,11 +124,6 @@ def filled(
         names = ", ".join(str(recording.path) for recording in validation.recordings)
         raise BagError(f"{names}: no contact ({reasons})" if reasons else f"{names}: no contact")
     return test.with_results(repetitions=tuple(contacts), left_out=tuple(left_out))
-
-
-def _raw_data(recording: ValidatedRecording, folder: Path) -> dict[str, str]:
-    path = recording.files[-1]
-    return {"raw_data": os.path.relpath(path.resolve(), folder.resolve()), "raw_sha256": digest(path, BagError)}
 
 
 def _poses(
@@ -410,10 +408,10 @@ def _other_reasons(
     test: ContactTest, instrument: Instrument, traces: Sequence[ForceTrace], relative: float
 ) -> Iterator[str]:
     """Yield the force in none of the contacts that may exceed a limit; `relative` is the uncertainty of the force."""
-    point, left_out, largest = test.point, test.results.left_out, _largest(test)
-    if not (point.body_region and point.contact_area_m2):
-        return  # named as missing themselves
-    transient, held = _limits(point.body_region, point.contact_area_m2, point.contact)
+    left_out, largest, limits = test.results.left_out, _largest(test), _limits(test.point)
+    if limits is None:
+        return
+    transient, held = limits
     harmless_n = held.permissible_force_n / (1.0 + relative)  # even if it stays
     judged_n = math.inf if _needs_no_mass(instrument, transient) else largest
     for item in left_out:
@@ -453,11 +451,8 @@ def _device_reasons(protocol: Protocol, test: ContactTest) -> Iterator[str]:
 
 def _missing_masses(test: ContactTest, instrument: Instrument) -> Iterator[str]:
     """Yield the contacts whose force cannot be judged on their device without the mass of the robot."""
-    point = test.point
-    if not (point.body_region and point.contact_area_m2):
-        return  # named as missing themselves
-    transient, _ = _limits(point.body_region, point.contact_area_m2, point.contact)
-    if not _needs_no_mass(instrument, transient):
+    limits = _limits(test.point)
+    if limits is not None and not _needs_no_mass(instrument, limits[0]):
         kind = "the device is softer than the region" if instrument.fixed else "the device moves"
         for number, item in enumerate(test.results.repetitions, start=1):
             if item.effective_mass_kg is None:
@@ -565,9 +560,10 @@ def _values(test: ContactTest, instrument: Instrument) -> dict[str, float | bool
     errors = [residual for item in repetitions if (residual := item.residual) is not None]
     if errors:
         values["residual"] = float(np.mean(errors))
-    if not (point.body_region and point.contact_area_m2):
+    limits = _limits(point)
+    if limits is None:
         return values
-    transient, held = _limits(point.body_region, point.contact_area_m2, point.contact)
+    transient, held = limits
     pressures = [item.peak_pressure_n_cm2 for item in repetitions if item.peak_pressure_n_cm2 is not None]
     pressure_limit = held if point.contact is ContactType.QUASI_STATIC else transient
     # A force is judged without the contact area only if every contact has a pressure that is judged by the same limit.
@@ -606,14 +602,16 @@ def _largest(test: ContactTest) -> float:
     return max((item.transient_peak_n or 0.0 for item in test.results.repetitions), default=0.0)
 
 
-def _limits(region: str, area_m2: float, contact: ContactType | None) -> tuple[Limit, Limit]:
-    """Return the transient and the quasi-static limit of a region."""
-    settings = MonitorSettings(body_regions=(region,), contact_area_m2=area_m2)
+def _limits(point: TestPoint) -> tuple[Limit, Limit] | None:
+    """Return the transient and the quasi-static limit of a region, None without region or area: they are named."""
+    if not (point.body_region and point.contact_area_m2):
+        return None
+    settings = MonitorSettings(body_regions=(point.body_region,), contact_area_m2=point.contact_area_m2)
     transient, held = (
         limits_for(settings.model_copy(update={"contact": kind}))[0]
         for kind in (ContactType.TRANSIENT, ContactType.QUASI_STATIC)
     )
-    if contact is ContactType.QUASI_STATIC:  # a clamped body part cannot move
+    if point.contact is ContactType.QUASI_STATIC:  # a clamped body part cannot move
         transient = replace(transient, body_mass_kg=held.body_mass_kg)
     return transient, held
 

@@ -80,11 +80,6 @@ def run(args: argparse.Namespace) -> int:
     return 1 if unknown else 0
 
 
-def _cell_names() -> list[str]:
-    """Return the parameters of the monitor in the file."""
-    return [*(option.dest for option in options_of("cell")), "tool_links"]
-
-
 def _checked(args: argparse.Namespace) -> tuple[MonitorSettings, RobotDynamics]:
     """Return the settings of the options and their robot. Raises EffmassError where `doctor` finds something wrong."""
     robot = args.robot and str(Path(args.robot).resolve())  # the nodes may start elsewhere
@@ -181,7 +176,7 @@ def _cell(settings: MonitorSettings, notes: Sequence[str]) -> str:
     """
     values = settings.model_dump(mode="json")
     values["sensor.sensitivity"] = DaqSettings().sensor.sensitivity
-    cell = _cell_names()
+    cell = [*(option.dest for option in options_of("cell")), "tool_links"]
     sections: dict[str, tuple[type[BaseModel], list[str]]] = {
         "monitor": (MonitorSettings, cell),
         "validator": (ValidatorSettings, ["robot", *(name for name in cell if name in ValidatorSettings.model_fields)]),

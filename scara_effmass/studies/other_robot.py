@@ -26,7 +26,7 @@ from scara_effmass.errors import RobotError
 from scara_effmass.iso15066 import reduced_mass
 from scara_effmass.safety import Monitor
 from scara_effmass.studies.figures import PAGE
-from scara_effmass.studies.scara import OBSTACLES_KG, SHOWN_OBSTACLE_KG, relative_error
+from scara_effmass.studies.scara import OBSTACLES_KG, SHOWN_OBSTACLE_KG, MassDistribution, relative_error
 from scara_effmass.values import FloatArray, Vector3
 
 SUMMARY = "figures.json"
@@ -113,8 +113,8 @@ class RobotMasses:
         axes = figure.subplots()
         for color, (model, mass) in zip(CYCLE, self.masses.items(), strict=False):
             known = np.isfinite(mass)
-            shares, _ = np.histogram(mass[known], edges, weights=share[known] / share[known].sum())
-            axes.stairs(shares / (edges[1] - edges[0]), edges, color=color, linewidth=1.8, label=NAMES[model])
+            density = MassDistribution(mass[known], share[known] / share[known].sum()).density(edges)
+            axes.stairs(density, edges, color=color, linewidth=1.8, label=NAMES[model])
         iso_mass = self.robot.iso_mass
         axes.axvline(iso_mass, color=ISO_RED, linewidth=2.0, label=f"ISO, M/2 + m_L = {iso_mass:.2f} kg")
         axes.set(xlabel="effective mass along x [kg]", ylabel="probability density [1/kg]")

@@ -37,7 +37,7 @@ from scara_effmass.share import share
 from scara_effmass.sim.collision_sim import SpringContact
 from scara_effmass.sim.experiment import OBSTACLE_MASSES, ImpactRun, run_impact
 from scara_effmass.studies.campaign import Campaign
-from scara_effmass.values import Decision, ForceBlock, Mobility6
+from scara_effmass.values import Decision, Mobility6
 
 SCARA = share("config", "omron_i4_550l.yaml")
 SETTINGS = MonitorSettings(contact_points=("tool",))
@@ -173,17 +173,15 @@ def validate(
         detector = Detector(DetectionSettings())
         impacts = []
         for block in run.force_blocks:
-            shifted = _measured(block, nuisance.gain * case.force, nuisance.clock + case.clock)
+            shift_ns = round((nuisance.clock + case.clock) * 1e9)
+            force = nuisance.gain * case.force * block.force
+            shifted = block._replace(force=force, stamp_ns=block.stamp_ns + shift_ns)
             validator.add_force(shifted, 0)
             impacts += detector.feed(shifted)
         for impact in impacts + detector.finish():
             validator.add_impact(impact, 0)
         validator.finish()
     return validator.result()
-
-
-def _measured(block: ForceBlock, factor: float, shift: float) -> ForceBlock:
-    return block._replace(force=factor * block.force, stamp_ns=block.stamp_ns + round(shift * 1e9))
 
 
 def outcomes(seed: int) -> Outcomes:
