@@ -22,7 +22,6 @@ from measured_page import write_section
 
 from scara_effmass.analysis.dataset import BagTask, assess_part
 from scara_effmass.bags.writer import BagWriter
-from scara_effmass.cli.options import load_dynamics
 from scara_effmass.cli.tasks import Advance, open_run
 from scara_effmass.errors import EffmassError
 from scara_effmass.settings import MonitorSettings
@@ -51,9 +50,7 @@ def assess(folder: Path, path: Path, _advance: Advance) -> int:
         hog += bytes(50_000_000)
         time.sleep(0.01)
     task = BagTask(MonitorSettings())
-    return assess_part(folder, path, "A7", task, load_dynamics(task.settings), lambda *_: None, overwrite=False).counts[
-        "joint_states"
-    ]
+    return assess_part(folder, task, path, lambda *_: None, cell="A7", overwrite=False).counts["joint_states"]
 
 
 def peak_mb() -> float:

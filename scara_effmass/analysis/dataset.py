@@ -41,6 +41,7 @@ from scara_effmass.bags.files import bag_bytes, open_bag
 from scara_effmass.codes import Reason
 from scara_effmass.errors import BagError, OutputError
 from scara_effmass.input_files import digest
+from scara_effmass.model.load import load_robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
 from scara_effmass.safety.reasons import LOAD_ENTRY, plain_text
@@ -188,21 +189,20 @@ def without_copies(paths: Sequence[Path], cell: str | None) -> tuple[list[Path],
 
 def assess_part(
     folder: Path,
-    path: Path,
-    cell: str,
     task: BagTask,
-    dynamics: RobotDynamics,
+    path: Path,
     advance: Callable[[float], object],
     *,
+    cell: str | None,
     overwrite: bool,
 ) -> BagResult:
     """Assess the bag at `path` into `folder`/cell=`cell`/day=DAY/, unless that was done; return the result.
 
-    It was done if bag, cell, settings, robot and version have the same hashes, and the part is as it was written; a
-    cross-check assesses again, and so does a damaged result. Raises BagError, SettingsError, and OutputError if
-    anything but bag and cell differs, unless `overwrite`.
+    It was done if bag, cell (None: `cell_of` the path), settings, robot and version have the same hashes, and the part
+    is as it was written; a cross-check assesses again, and so does a damaged result. Raises BagError, SettingsError,
+    and OutputError if anything but bag and cell differs, unless `overwrite`.
     """
-    content = _hash_of(path)
+    content, cell = _hash_of(path), cell or cell_of(path)
     inputs = [content, task.settings.model_dump_json(), digest(Path(task.settings.robot_path), BagError), __version__]
     inputs += sorted(task.settings.model_fields_set)  # the others are assumed
     inputs += [task.time.value, str(task.topic), cell, _hash_of(task.velocity_bag) if task.velocity_bag else ""]
@@ -228,6 +228,7 @@ def assess_part(
     with open_bag(path) as bag:
         day = iso_time(bag.start_ns)[:10]
     part = f"cell={cell}/day={day}/{path.stem}-{content[:16]}.parquet"
+    dynamics = RobotDynamics(load_robot(task.settings.robot_path, task.settings))
     origin = provenance(task.settings, dynamics.robot.origin, [path])
     with open_writer(folder / part, origin, dynamics.robot.base_frame, overwrite=True) as table:
         result = assess_bag(path, task, dynamics, table, advance)

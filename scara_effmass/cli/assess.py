@@ -20,7 +20,6 @@ from scara_effmass.analysis.dataset import (
     BagTask,
     assess_bag,
     assess_part,
-    cell_of,
     remove_unfinished,
     without_copies,
 )
@@ -91,8 +90,7 @@ def assess(
         run_tasks = stack.enter_context(open_run(args, "recordings", is_small=is_small))
         if not args.output.suffix:
             folder = args.output if isinstance(args.output, Url) else args.output.absolute()
-            job = partial(_assess_part, task, folder, args.cell, args.force)
-            outcomes = run_tasks(job, paths)
+            outcomes = run_tasks(partial(assess_part, folder, task, cell=args.cell, overwrite=args.force), paths)
         else:
             outcomes = stack.enter_context(_into_file(args, task, dynamics, origin, paths, run_tasks))
         for path, result in sound(paths, outcomes, unreadable):
@@ -141,19 +139,6 @@ def _recordings(args: argparse.Namespace) -> tuple[list[Path], list[tuple[str, s
     if args.velocity_bag and len(paths) > 1:
         raise SettingsError(f"--velocity-bag = {args.velocity_bag}: must belong to one recording, not to {len(paths)}")
     return (paths, []) if args.output.suffix else without_copies(paths, args.cell)
-
-
-def _assess_part(
-    task: BagTask,
-    folder: Path,
-    cell: str | None,
-    overwrite: bool,  # noqa: FBT001
-    path: Path,
-    advance: Advance,
-) -> BagResult:
-    """Assess the recording at `path` into the dataset `folder`."""
-    dynamics, cell = load_dynamics(task.settings), cell or cell_of(path)
-    return assess_part(folder, path, cell, task, dynamics, advance, overwrite=overwrite)
 
 
 class _Part(NamedTuple):

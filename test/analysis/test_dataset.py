@@ -24,7 +24,6 @@ from scara_effmass.analysis.dataset import (
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import OutputError
-from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
 
@@ -44,11 +43,11 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def assess(recording: Path, tmp_path: Path, dynamics: RobotDynamics) -> Assess:
+def assess(recording: Path, tmp_path: Path) -> Assess:
     """Assess the recording into a dataset in `tmp_path`."""
 
     def run(task: BagTask = TASK, *, overwrite: bool = False) -> BagResult:
-        return assess_part(tmp_path, recording, "A7", task, dynamics, lambda *_: None, overwrite=overwrite)
+        return assess_part(tmp_path, task, recording, lambda *_: None, cell="A7", overwrite=overwrite)
 
     return run
 
@@ -101,24 +100,20 @@ def test_a_result_that_cannot_be_used_is_assessed_again_and_said(
     assert assess().notes == []
 
 
-def test_a_renamed_recording_has_one_part(
-    assess: Assess, recording: Path, tmp_path: Path, dynamics: RobotDynamics
-) -> None:
+def test_a_renamed_recording_has_one_part(assess: Assess, recording: Path, tmp_path: Path) -> None:
     assess()
     part(tmp_path).write_bytes(b"PAR1")
     renamed = recording.rename(recording.with_name("renamed"))
     try:
-        assess_part(tmp_path, renamed, "A7", TASK, dynamics, lambda *_: None, overwrite=False)
+        assess_part(tmp_path, TASK, renamed, lambda *_: None, cell="A7", overwrite=False)
     finally:
         renamed.rename(recording)
     assert part(tmp_path).name.startswith("renamed-")
 
 
-def test_a_recording_of_two_cells_has_two_parts(
-    assess: Assess, recording: Path, tmp_path: Path, dynamics: RobotDynamics
-) -> None:
+def test_a_recording_of_two_cells_has_two_parts(assess: Assess, recording: Path, tmp_path: Path) -> None:
     first = assess()
-    second = assess_part(tmp_path, recording, "B", TASK, dynamics, lambda *_: None, overwrite=True)
+    second = assess_part(tmp_path, TASK, recording, lambda *_: None, cell="B", overwrite=True)
     assert second.counts == first.counts
     assert [path.parts[-3] for path in sorted(tmp_path.glob("cell=*/day=*/*.parquet"))] == ["cell=A7", "cell=B"]
     assert len([*tmp_path.glob(f"{RECORDS}/cell=*/*.json")]) == len(("A7", "B"))
