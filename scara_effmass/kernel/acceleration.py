@@ -30,7 +30,7 @@ def set_acceleration(k: int, heaviest: float, approach: Approach, setup: Setup, 
         return
     assign(out.shown, approach.shown)
     assign(out.opposed, approach.held)
-    if k != Model.ISO:
+    if k != Model.ISO and setup.max_acceleration == 0.0:
         out.error_root = 0.0
         for j in range(setup.joints):
             out.error_root += math.sqrt(work.diagonals[k, j]) * work.errors[j]

@@ -118,6 +118,8 @@ def approach_of(point: Point, vertex: int, motion: FloatArray, age: float, setup
     rate = (max(0.0, dot(n, total)) if is_moving else norm(total)) + error
     if is_limited:
         error = setup.max_acceleration
+    elif is_moving:
+        error = max(error, setup.max_acceleration - max(0.0, dot(n, shown)))
     return Approach(
         joint + 1,
         point.rank,

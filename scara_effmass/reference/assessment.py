@@ -181,7 +181,8 @@ class ContactAssessor:
     def _acceleration(self, code: ModelCode) -> Acceleration:
         """Return the acceleration that the contact goes on with, in the mass model `code`.
 
-        A stated limit that is larger than what the joint states show counts in its place, in any direction.
+        A stated limit that is larger than what the joint states show counts in its place, in any direction. Beside one
+        that is smaller, the arm may speed up as fast as the limit: it could brake.
         """
         qdd, errors, *_ = self.joint_acceleration
         shown, held = self.contact.jacobian @ qdd, self.contact.jacobian_rate @ self.state.qd
@@ -191,8 +192,8 @@ class ContactAssessor:
             return Acceleration(none, none, limit, math.inf)
         if self.direction is None or (code is ModelCode.ISO and self._fixed_normal is not None):
             return Acceleration(none, none, size + error, math.inf)
-        root = math.inf
-        if code in self.state.mass_matrix:
+        error, root = max(error, limit - max(0.0, float(self.direction @ shown))), math.inf
+        if code in self.state.mass_matrix and not limit:
             root = float(np.sqrt(np.diagonal(self.state.mass_matrix[code])) @ errors)
         return Acceleration(shown, held, error, root)
 

@@ -987,6 +987,23 @@ def test_stated_acceleration_hides_none_of_held_joint_velocities(scara: RobotDyn
 
 
 @pytest.mark.parametrize("use_reference", [False, True])
+@pytest.mark.parametrize("contact_normal", ["worst", "0.6 -0.8 0"])
+def test_robot_that_brakes_can_still_accelerate_as_stated(
+    scara: RobotDynamics, contact_normal: str, *, use_reference: bool
+) -> None:
+    """A stated limit counts in full beside a harder braking, as far as that lacks beside a larger acceleration."""
+    q, qd = np.array([[0.3, 1.2, 0.1, 0.2]]), np.array([[0.4, 0.5, 0.1, 0.1]])
+
+    def allowable_speed(factor: float, limit: float) -> float:
+        settings = settings_of(drives="free", max_acceleration=limit, contact_normal=contact_normal)
+        monitor = Monitor(scara, settings, use_reference=use_reference)
+        return float(monitor.assess_configurations(q, qd, factor * qd).contacts["allowable_speed"][0, 0])
+
+    assert allowable_speed(-9.0, 2.0) <= allowable_speed(0.0, 2.0) < allowable_speed(-9.0, 0.0)
+    assert allowable_speed(9.0, 2.0) == allowable_speed(9.0, 0.0)
+
+
+@pytest.mark.parametrize("use_reference", [False, True])
 def test_point_at_rest_gets_faster_by_joints_that_move(*, use_reference: bool) -> None:
     settings = MonitorSettings(robot=str(share("config", "robots", "ur5_robot.urdf")), contact_points=("ee_link",))
     dynamics = RobotDynamics(load_robot(settings=settings))
