@@ -21,6 +21,7 @@ from textwrap import shorten
 from typing import Any, NamedTuple
 
 import matplotlib as mpl
+import numpy as np
 import yaml
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
@@ -287,6 +288,8 @@ def report_figure(name: str, title: str, caption: str, figure: Figure, language:
     figure.set_dpi(DPI)
     FigureCanvasAgg(figure).print_png(png)  # type: ignore[no-untyped-call]
     figure.set_layout_engine("none")
+    for axes in figure.axes:  # the last digits of the layout vary, and the SVG names its clip paths after them
+        axes.set_position(np.round(axes.get_position(original=True).bounds, 6).tolist())
     with mpl.rc_context({"svg.hashsalt": "scara_effmass"}):
         FigureCanvasSVG(figure).print_svg(svg, metadata={"Date": None})  # type: ignore[no-untyped-call]
     return ReportFigure(name, title, caption, png.getvalue(), svg.getvalue())
