@@ -285,7 +285,7 @@ def _draw_forces(axes: Axes, forces: RecordedForce, start_ns: int) -> None:
         impacts = [impact for impact in forces.impacts if usable is not (impact.clipped or impact.incomplete)]
         if impacts:
             onsets = [(impact.stamp_ns - start_ns) / 1e9 for impact in impacts]
-            peaks = [impact.peak_force for impact in impacts]
+            peaks = [impact.peak_force + impact.load_force for impact in impacts]
             axes.plot(onsets, peaks, linestyle="none", marker=marker, color="#D55E00", label=label)
     axes.set_ylabel("force [N]")
     _legend(axes)

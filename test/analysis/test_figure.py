@@ -90,11 +90,11 @@ def test_single_unknown_cycle_is_drawn() -> None:
 def test_force_panel_shows_force_and_impacts() -> None:
     stamp_ns = (np.arange(100) * 1e8).astype(np.int64)
     impact = Impact(5_000_000_000, "cell", 90.0, 2e-3, 0.1, 640.0, *(False, False, 0, 0.0, 0.1, 0.0, "test", False))
-    clipped = impact._replace(stamp_ns=7_000_000_000, peak_force=40.0, clipped=True)
+    clipped = impact._replace(stamp_ns=7_000_000_000, peak_force=40.0, clipped=True, load_force=25.0)
     forces = RecordedForce(stamp_ns, np.linspace(0.0, 90.0, 100), simulated=True, impacts=(impact, clipped))
     figure = draw_run(run(), title="", subtitle="", mass_model="lumped", timeout=0.2, forces=forces)
     assert len(figure.axes) == 4
     panel = lines(figure, 3)
     assert panel["simulated force"][-1] == 90.0
     assert panel["impact"] == 90.0
-    assert panel["impact, clipped or incomplete"] == 40.0
+    assert panel["impact, clipped or incomplete"] == 65.0  # on the load of an earlier contact
