@@ -127,7 +127,7 @@ def assess(
 
 
 def _recordings(args: argparse.Namespace) -> tuple[list[Path], list[tuple[str, str]]]:
-    """Return the recordings, for a dataset without copies, and a line about each copy.
+    """Return the recordings without copies, and a line about each copy.
 
     Raises BagError, and SettingsError for options that do not go together.
     """
@@ -138,7 +138,7 @@ def _recordings(args: argparse.Namespace) -> tuple[list[Path], list[tuple[str, s
     paths = [path for folder in args.bags for path in find_bags(folder)]
     if args.velocity_bag and len(paths) > 1:
         raise SettingsError(f"--velocity-bag = {args.velocity_bag}: must belong to one recording, not to {len(paths)}")
-    return (paths, []) if args.output.suffix else without_copies(paths, args.cell)
+    return without_copies(paths, str(args.output) if args.output.suffix else args.cell)
 
 
 class _Part(NamedTuple):

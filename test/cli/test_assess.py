@@ -325,19 +325,22 @@ def test_summary_matches_the_rows(swing_bag: Path, cli: Cli, tmp_path: Path) -> 
 
 
 def test_several_bags_share_a_table_with_one_monitor_per_bag(swing_bag: Path, cli: Cli, tmp_path: Path) -> None:
-    done = cli("assess", swing_bag, swing_bag, "-o", tmp_path / "a.parquet", "--json")
+    second = swing_recording(tmp_path / "second", 500)
+    done = cli("assess", swing_bag, second, "-o", tmp_path / "a.parquet", "--json")
     rows = parquet.read_table(tmp_path / "a.parquet").to_pylist()
-    assert_equal(rows, 2 * core_decisions(swing_bag))
+    assert_equal(rows, core_decisions(swing_bag) + core_decisions(second))
     assert json.loads(done.stdout)["gaps"] == 0
-    copyfile(swing_bag / "swing_0.mcap", tmp_path / "second.mcap")
-    assert cli("assess", swing_bag, tmp_path / "second.mcap", "-o", tmp_path / "a.mcap").returncode == 0
+    assert cli("assess", swing_bag, second, "-o", tmp_path / "a.mcap").returncode == 0
     with open_bag(tmp_path / "a.mcap") as bag:
         counts = {topic.name: topic.count for topic in bag.topics}
-    assert counts == {
-        "/run_info": 1,
-        "/bag_0_swing/contact_states": 1000,
-        "/bag_1_second/contact_states": 1000,
-    }
+    assert counts == {"/run_info": 1, "/bag_0_swing/contact_states": 1000, "/bag_1_second/contact_states": 500}
+
+
+def test_a_recording_given_twice_counts_once(swing_bag: Path, cli: Cli, tmp_path: Path) -> None:
+    copy = copytree(swing_bag, tmp_path / "copy")
+    done = cli("assess", swing_bag, copy, "-o", tmp_path / "a.csv", "--json")
+    assert json.loads(done.stdout)["joint_states"] == 1000
+    assert f"{copy}: same content as {swing_bag}" in str(json.loads(done.stdout)["input"])
 
 
 def test_undecodable_joint_state_gives_unknown_and_the_run_continues(swing_bag: Path, cli: Cli, tmp_path: Path) -> None:
