@@ -162,8 +162,8 @@ def advise(
 
     `recorded` are the decisions on the recorded motion; `decide` returns those of a fresh monitor on a re-timed one,
     both by `settings`. `count` is that of `Motion.segments`; a standstill has no contact faster than `speed_threshold`.
-    A segment that is UNKNOWN somewhere has no factor, nor one with a step longer than `timeout`. A velocity of zero
-    needs no confirmation while the positions stand still, because there is no speed to scale.
+    A segment that is UNKNOWN somewhere or holds no state has no factor, nor one with a step longer than `timeout`. A
+    velocity of zero needs no confirmation while the positions stand still, because there is no speed to scale.
     """
     recorded = list(recorded)
     first = last = _allowed_factors(recorded, motion.states, settings, worst)
@@ -174,8 +174,9 @@ def advise(
     speeds = np.array([max(contact.speed for contact in decision.contacts) for decision in recorded])
     segment = motion.segments(count, (speeds > settings.speed_threshold) | (first.factors < 0.0))
     factors, states, path_time = np.ones(int(segment[-1]) + 1), list(motion.states), motion.time
-    good, bad, reasons = np.zeros(len(factors)), np.full(len(factors), np.inf), [""] * len(factors)
-    is_lost = np.zeros(len(factors), bool)
+    good, bad = np.zeros(len(factors)), np.full(len(factors), np.inf)
+    is_lost = np.bincount(segment) == 0
+    reasons = ["holds no joint state: state fewer segments" if lost else "" for lost in is_lost]
     for _ in range(ITERATIONS):
         before = np.clip(np.searchsorted(motion.time, path_time + 1e-9, "right") - 1, 0, len(segment) - 1)
         after = np.clip(np.searchsorted(motion.time, path_time - 1e-9), 0, len(segment) - 1)

@@ -49,6 +49,8 @@ def run_advise(args: argparse.Namespace) -> int:
     if args.verdict == "ok" and assumptions.limiting:
         raise SettingsError(f"--verdict = ok: must be warn while no verdict can be OK: {assumptions.reason}")
     motion, recorded, losses = _recorded_motion(args, dynamics, settings)
+    if (args.segments or 0) > len(motion.states):
+        raise SettingsError(f"--segments = {args.segments}: must be at most {len(motion.states)}, the joint states")
     decide = partial(_decide, dynamics, settings)
     worst = Verdict.OK if args.verdict == "ok" else Verdict.WARN
     advice = advise(motion, recorded, decide, args.segments, settings, worst)

@@ -28,6 +28,14 @@ def write_tour(path: Path, velocity: float = 1.0) -> Path:
     return path
 
 
+def write_swing(path: Path, times: list[float]) -> Path:
+    """Write a slow swing of joint 1 at the `times` [s]."""
+    rows = [(np.array([0.1 * np.sin(t), 1.2, 0.1, 0.0]), np.array([0.1 * np.cos(t), 0.0, 0.0, 0.0])) for t in times]
+    states = (JointState(EPOCH_NS + round(t * 1e9), JOINTS, *row) for t, row in zip(times, rows, strict=True))
+    write_recording(path, RunInfo(stamp_ns=EPOCH_NS, simulated=True, note="test"), states, (), overwrite=False)
+    return path
+
+
 @pytest.fixture(scope="module")
 def fast_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Recording of the fast tour."""
@@ -85,3 +93,17 @@ def test_settings_that_cannot_be_re_timed_are_refused(refused: Refused, fast_bag
     assert ok.startswith("--verdict = ok: must be warn while no verdict can be OK: payload not stated: ")
     assert "must be empty" in refused("advise", fast_bag, "-o", tmp_path / "out", "--payload-topic", "payload")
     assert "must be a whole number from 0" in refused("advise", fast_bag, "-o", tmp_path / "out", "--segments", "-1")
+    many = refused("advise", fast_bag, "-o", tmp_path / "out", "--segments", "9223372036854775807")
+    assert many == "--segments = 9223372036854775807: must be at most 188, the joint states"
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.usefixtures("unrendered")
+def test_segment_without_a_joint_state_gets_no_factor(cli: Cli, tmp_path: Path) -> None:
+    path = write_swing(tmp_path / "gaps.mcap", [0.02 * number for number in range(50) if number % 10 < 6])
+    done = cli("advise", path, "-o", tmp_path / "out", "--segments", "20", "--json")
+    assert done.returncode == 1
+    segments = json.loads(done.stdout)["segments"]
+    empty = [row for row in segments if row["decides"] == "holds no joint state: state fewer segments"]
+    assert len(empty) == 4
+    assert {row["factor"] for row in empty} == {None}
