@@ -75,11 +75,17 @@ def atomic_file(path: Path, *, overwrite: bool, mark: bytes = b"") -> Iterator[P
             unfinished.unlink()
 
 
-def write_files(folder: Path, files: Mapping[str, bytes], *, overwrite: bool) -> None:
-    """Write `files` by name into `folder`: all, or none after an error. Raises OutputError."""
+def write_files(folder: Path, files: Mapping[str, bytes], *, overwrite: bool, former: Iterable[str] = ()) -> None:
+    """Write `files` by name into `folder`: all, or none after an error. Raises OutputError.
+
+    With `overwrite`, those of `former` that are not among them are of an earlier run and are removed.
+    """
     with ExitStack() as stack:
         for name, content in files.items():
             stack.enter_context(atomic_file(folder / name, overwrite=overwrite)).write_bytes(content)
+    for path in (folder / name for name in former if overwrite and name not in files):
+        with writing(path):
+            path.unlink(missing_ok=True)
 
 
 def json_types(value: Any, without: str = "") -> Any:  # noqa: ANN401 - any part of a result

@@ -307,10 +307,12 @@ def write_report_files(
     options: PageOptions = ENGLISH_PAGE,
     *,
     overwrite: bool,
+    former: Iterable[str] = (),
 ) -> None:
     """Write `texts` by file name, `figures`, and the page as PDF if `options` say so into `folder`, all or none.
 
-    A dictionary is written as JSON. Raises OutputError, and ValueError for NaN and infinity, which JSON does not have.
+    A dictionary is written as JSON. `former` are as for `write_files`, with the PDF of a page. Raises
+    OutputError, and ValueError for NaN and infinity, which JSON does not have.
     """
     files: dict[str, bytes] = {}
     for name, text in texts.items():
@@ -321,4 +323,4 @@ def write_report_files(
         files[PDF] = print_pdf(files[PAGE].decode())
     for figure in figures:
         files |= {f"{figure.name}.png": figure.png, f"{figure.name}.svg": figure.svg}
-    write_files(folder, files, overwrite=overwrite)
+    write_files(folder, files, overwrite=overwrite, former=[*former, *([PDF] if PAGE in files else [])])

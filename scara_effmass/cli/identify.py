@@ -36,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
             except RobotError as error:
                 problem = str(error)
         figure = report.report_figure(NAME, "Identified masses", found.robot.name, draw_identification(found))
-        report.write_report_files(args.output, files, [figure], overwrite=args.force)
+        report.write_report_files(args.output, files, [figure], overwrite=args.force, former=[corrected])
         written = [*files, *report.figure_files([NAME])]
         lines.append(("written", ", ".join(str(args.output / name) for name in written)))
         if corrected not in files:

@@ -24,7 +24,8 @@ def run(args: argparse.Namespace) -> int:
         from scara_effmass.analysis import report  # noqa: PLC0415 - matplotlib too
         from scara_effmass.analysis.robot_figures import draw_masses  # noqa: PLC0415 - matplotlib, an extra
 
-        check_output_files(args.output, [*report.figure_files([NAME]), RESULT], overwrite=args.force)
+        names = [RESULT, *report.figure_files([NAME])]
+        check_output_files(args.output, names, overwrite=args.force)
     dynamics = load_dynamics(settings)
     robot, lumped = dynamics.robot, dynamics.lumped
     links = lumped.links if lumped else () if robot.coms_reason else lumped_links(robot)
@@ -46,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
         figures = []
         if lumped:
             figures.append(report.report_figure(NAME, "Lumped masses", robot.name, draw_masses(robot, lumped)))
-        report.write_report_files(args.output, {RESULT: result}, figures, overwrite=args.force)
+        report.write_report_files(args.output, {RESULT: result}, figures, overwrite=args.force, former=names)
     if args.json:
         print_json(result)
         return 0 if lumped else 1
@@ -56,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     else:
         printer().print(f"no lumped model: {dynamics.lumped_reason}")
     if args.output:
-        names = [RESULT, *report.figure_files([NAME] if lumped else [])]
+        names = names if lumped else [RESULT]
         printer().print(f"written: {', '.join(str(args.output / name) for name in names)}")
     return 0 if lumped else 1
 

@@ -30,6 +30,7 @@ from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import at_most
 
 NAME, SUMMARY = "map", "map.json"
+TABLES = "map.csv", "map.parquet"
 SMALL_SAMPLES = 200_000
 """Number of configurations of all maps below which the start of local processes takes longer than they save."""
 ALONG_X = (1.0, 0.0, 0.0)
@@ -64,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
     errors: list[str] = []
     with open_run(args, "maps", is_small=len(tasks) * args.samples < SMALL_SAMPLES) as run_tasks:
         for task, made in sound(tasks, run_tasks(_make_map, tasks), errors, EffmassError):
-            write_report_files(task.folder, made.files, [made.figure], overwrite=args.force)
+            write_report_files(task.folder, made.files, [made.figure], overwrite=args.force, former=TABLES)
             maps.append((task, made))
     lines = [line for task, made in maps for line in _lines(task, made)]
     results = [{"output": str(task.folder), **made.summary} for task, made in maps]
@@ -75,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _tasks(args: argparse.Namespace) -> Iterator[_MapTask]:
     """Yield a task for each robot. Raises SettingsError, and OutputError for files that must not be replaced."""
-    robots, table = args.robot or [None], f"{NAME}.{args.table}"
+    robots = args.robot or [None]
     folders = [args.output / Path(robot or "").stem if len(robots) > 1 else args.output for robot in robots]
     for robot, folder in zip(robots, folders, strict=True):
         if folders.count(folder) > 1:
@@ -84,7 +85,7 @@ def _tasks(args: argparse.Namespace) -> Iterator[_MapTask]:
         require_no_payload_topic(settings, "a map")
         if args.test_direction and settings.fixed_test_direction is None:
             raise SettingsError("--direction = 0 0 0: must not be 0")
-        check_output_files(folder, [*figure_files([NAME]), table, SUMMARY], overwrite=args.force)
+        check_output_files(folder, [*figure_files([NAME]), *TABLES, SUMMARY], overwrite=args.force)
         yield _MapTask(settings, Plane(*args.plane), args.samples, args.table, folder)
 
 

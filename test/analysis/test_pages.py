@@ -31,6 +31,7 @@ from scara_effmass.analysis.report import (
     report_figure,
     setting_rows,
     translated,
+    write_report_files,
 )
 from scara_effmass.analysis.summary import iso_time
 from scara_effmass.analysis.validation import Validation, ValidationSettings
@@ -356,6 +357,8 @@ def test_pdf_is_what_the_browser_prints(protocol_folder: Path, tmp_path: Path, m
     monkeypatch.setenv("PATH", f"{tmp_path / 'bin'}:{os.environ['PATH']}")
     page = protocol_page(protocol_folder, tmp_path / "out", PageOptions(pdf=True))
     assert (tmp_path / "out" / "report.pdf").read_text(encoding="utf-8") == page
+    write_report_files(tmp_path / "out", {"report.html": "another"}, overwrite=True)
+    assert not (tmp_path / "out" / "report.pdf").exists()  # it was of the earlier page
 
 
 @pytest.mark.live

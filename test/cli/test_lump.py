@@ -68,6 +68,8 @@ def test_point_without_lumped_mass_and_robot_without_full_model_have_no_comparis
 def test_invalid_options_and_existing_output_are_refused(cli: Cli, refused: Refused, tmp_path: Path) -> None:
     assert cli("lump", "-o", tmp_path / "out", "--poses", "2").returncode == 0
     assert "already exists; use --force" in refused("lump", "-o", tmp_path / "out")
+    assert cli("lump", PANDA, "-o", tmp_path / "out", "--force").returncode == 1
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["lump.json"]
     assert "argument --poses: 0: must be a whole number from 1" in refused("lump", "--poses", "0")
 
 

@@ -43,13 +43,16 @@ def test_map_of_a_plane_of_a_six_axis_arm(cli: Cli, refused: Refused, tmp_path: 
 
 
 @pytest.mark.usefixtures("unrendered")
-def test_parquet_carries_the_provenance(cli: Cli, tmp_path: Path) -> None:
+def test_parquet_carries_the_provenance_and_replaces_the_other_table(cli: Cli, tmp_path: Path) -> None:
     # A filter of the cell's velocities does not concern sampled ones.
     params = tmp_path / "cell.yaml"
     params.write_text("monitor: {ros__parameters: {velocity_source: from_positions, velocity_window: 0.05}}")
     words = ("map", "-o", tmp_path / "map", "--samples", "100", "--table", "parquet", "--params", params)
     done = cli(*words)
     assert "every z, seen along z" in done.stdout
+    assert cli(*words[:-4], "--force").returncode == 0
+    assert {path.name for path in (tmp_path / "map").glob("map.*")} == {"map.csv", "map.json", "map.png", "map.svg"}
+    assert cli(*words, "--force").returncode == 0
     metadata = parquet.read_schema(tmp_path / "map" / "map.parquet").metadata
     assert metadata[b"scara_effmass_version"].decode() == __version__
 
