@@ -42,7 +42,7 @@ def check_output_path(path: Path, *, overwrite: bool, mark: bytes = b"") -> None
 def check_output_files(folder: Path, names: Iterable[str], *, overwrite: bool) -> None:
     """Raise OutputError if `folder` is a file, or one of the files `names` in it must not be replaced."""
     if folder.exists() and not folder.is_dir():
-        check_output_path(folder, overwrite=False)
+        raise OutputError(f"{folder}: is no folder; must be one, or a new path")
     for name in names:
         check_output_path(folder / name, overwrite=overwrite)
 

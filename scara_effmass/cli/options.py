@@ -114,7 +114,7 @@ def number(rule: str, is_valid: Callable[[float], bool], kind: type[float] = flo
             if is_valid(value):
                 return value
         except ValueError:
-            hint = number_rule(text).removeprefix("must be a number")
+            hint = number_rule(text).removeprefix("must be a number") if kind is float else ""
         raise argparse.ArgumentTypeError(f"{text}: must be {rule}{hint}")
 
     return parse

@@ -41,7 +41,7 @@ def test_folder_without_impacts_is_refused(refused: Refused, tmp_path: Path) -> 
 
 def test_output_that_is_a_file_is_refused(refused: Refused, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    assert "file" in refused("figures", "-o", tmp_path / "file")
+    assert "file: is no folder; must be one, or a new path" in refused("figures", "-o", tmp_path / "file", "--force")
 
 
 def test_campaign_belongs_to_the_paper_s_robot(refused: Refused, tmp_path: Path) -> None:

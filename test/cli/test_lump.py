@@ -70,6 +70,8 @@ def test_invalid_options_and_existing_output_are_refused(cli: Cli, refused: Refu
     assert "already exists; use --force" in refused("lump", "-o", tmp_path / "out")
     assert cli("lump", PANDA, "-o", tmp_path / "out", "--force").returncode == 1
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["lump.json"]
+    whole = refused("lump", "--poses", "1.5")
+    assert "argument --poses: 1.5: must be a whole number from 1 to 10000000 (see --help)" in whole
     assert "argument --poses: 0: must be a whole number from 1" in refused("lump", "--poses", "0")
 
 
