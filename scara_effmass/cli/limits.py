@@ -23,6 +23,9 @@ from scara_effmass.iso15066 import (
 from scara_effmass.settings import Drives, MonitorSettings
 from scara_effmass.values import at_most
 
+SCOPE = "relative speed at nominal values; a monitor allows less, by margins and drives"
+"""What the allowable speeds leave out."""
+
 
 def run(args: argparse.Namespace) -> int:
     """Print the rows of the chosen regions, and the allowable speeds of the masses."""
@@ -42,6 +45,7 @@ def run(args: argparse.Namespace) -> int:
             "body_regions": [asdict(region) | clause for region in regions],
             "contact": settings.contact.value,
             "contact_area_m2": settings.contact_area_m2,
+            "scope": SCOPE,
             "allowable_speeds": [_speed(mass, limit, nominal) for mass in args.masses for limit in limits],
         }
         print_json(result)
@@ -107,3 +111,4 @@ def _print_speeds(masses: list[float], limits: tuple[Limit, ...], settings: Moni
     person = "clamped body part" if math.isinf(limits[0].body_mass_kg) else "body part free to recoil"
     area = f"contact area {limits[0].contact_area_cm2:g} cm²"
     printer().print(f"{limits[0].contact.value} contact, {person}; {area}; joints free")
+    printer().print(SCOPE)

@@ -66,6 +66,7 @@ def test_text_contains_every_row_the_units_and_the_lowest_speed(capsys: pytest.C
         assert point.name in text
     assert "stiffness [N/mm]" in text
     assert "649 (lower_leg, force)" in text
+    assert "relative speed at nominal values; a monitor allows less" in text
     assert CLAUSE_2025 in text
     assert TABLE_HASH in text
     assert "…" not in text
