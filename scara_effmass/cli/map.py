@@ -26,6 +26,7 @@ from scara_effmass.cli.options import load_dynamics, monitor_settings, require_n
 from scara_effmass.cli.tasks import Advance, open_run, sound
 from scara_effmass.errors import EffmassError, SettingsError
 from scara_effmass.safety import Monitor
+from scara_effmass.safety.assumptions import assumptions_of
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.values import at_most
 
@@ -104,6 +105,7 @@ def _make_map(task: _MapTask, advance: Advance) -> _MapResult:
     caption = f"Each cell shows the worst of the sampled configurations that reach it. {title}"
     figure = report_figure(NAME, title, caption, draw_map(cells, table, title, robot.iso_mass))
     summary = {"robot": robot.origin, "contact_point": point, "frame": frame, **summarize(cells, table, robot.iso_mass)}
+    summary["assumptions"] = assumptions_of(robot, settings).as_dict()
     file = BytesIO()
     with open_table(file, f".{task.table}", table.schema, origin) as writer:
         writer.write_table(table)
@@ -140,4 +142,6 @@ def _lines(task: _MapTask, made: _MapResult) -> Iterator[tuple[str, object]]:
     if rise := summary["rise_by_second_half"]:
         text = "its second half raised the bound of a cell by {p50:.1%} (median), {p95:.1%} (P95)".format(**rise)
     yield "completeness", text
+    for kind, texts in summary["assumptions"].items():
+        yield from ((kind, text) for text in texts.values())
     yield "written", task.folder / f"{NAME}.png"

@@ -25,8 +25,10 @@ def test_map_of_a_plane_of_a_six_axis_arm(cli: Cli, refused: Refused, tmp_path: 
     assert result["mass_models"] == [["full: effective_mass_model full", 300]]
     assert result["direction"] == [0.0, 0.0, -1.0]
     assert result["deciding_contacts"] == {"ee_link": result["cells"]}
+    assert "payload not stated: --payload 0 if there is none" in result["assumptions"]["assumed"]["payload"]
     framed = cli(*words, "--samples", "100", "--direction-frame", "ee_link", "--force", "--json")
     assert json.loads(framed.stdout)["frame"] == "ee_link"  # a link and a contact point
+    assert "assumed         payload not stated: " in cli(*words, "--samples", "100", "--force").stdout
     done = cli(*words, "--samples", "300", "--force", "--json")
     assert {path.name for path in out.iterdir()} == {"map.png", "map.svg", "map.csv", "map.json"}
     assert imread(out / "map.png").shape[1] > 1000
