@@ -307,11 +307,13 @@ def summarize(cells: Cells, table: pa.Table, iso_mass: float) -> dict[str, Any]:
     """Return the summary for JSON, units in the names: percentiles over the cells, and the slowest cell.
 
     `deciding_contacts` counts the cells in which each contact decides. `rise_by_second_half` tells by how much the
-    second half of the sample raised the bound, as a share, of cells that the first half had reached: it shows how
-    complete the sample is.
+    second half of the sample raised the bound, as a share, of the `shared_cells` that the first half had reached, too:
+    it shows how complete the sample is.
     """
     sample, bound = cells.sample, cells.sample.masses("worst_normal_reduced_mass")
-    early = cells.largest(np.where(np.arange(len(bound)) < len(bound) // 2, bound, np.nan))
+    is_early = np.arange(len(bound)) < len(bound) // 2
+    early, late = (cells.largest(np.where(half, bound, np.nan)) for half in (is_early, ~is_early))
+    rise = np.maximum(late / early - 1.0, 0.0)  # NaN in a cell that one of them has not reached
     columns = [f"{name}_kg" for name in MASSES] + ["allowable_speed_m_s", "allowable_speed_all_contacts_m_s"]
     deciding = Counter(dict.fromkeys(sample.assessed.points, 0))
     deciding.update(table["deciding_contact"].to_pylist())
@@ -328,7 +330,8 @@ def summarize(cells: Cells, table: pa.Table, iso_mass: float) -> dict[str, Any]:
         "deciding_contacts": dict(deciding.most_common()),
         "iso_mass_kg": iso_mass,
         "share_above_iso_mass": float(np.mean(table[columns[0]].to_numpy() > iso_mass)),
-        "rise_by_second_half": _percentiles(cells.largest(bound) / early - 1.0),
+        "shared_cells": int(np.isfinite(rise).sum()),
+        "rise_by_second_half": _percentiles(rise),
         "slowest": table.take([int(np.argmin(table["allowable_speed_m_s"].to_numpy()))]).to_pylist()[0],
     }
 

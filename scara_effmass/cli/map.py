@@ -140,7 +140,8 @@ def _lines(task: _MapTask, made: _MapResult) -> Iterator[tuple[str, object]]:
         yield "decided by", f"{shares(deciding)} of the cells"
     text = "its halves reached no cell in common: give more --samples"
     if rise := summary["rise_by_second_half"]:
-        text = "its second half raised the bound of a cell by {p50:.1%} (median), {p95:.1%} (P95)".format(**rise)
+        text = "its second half raised the bound by {p50:.1%} (median), {p95:.1%} (P95) in the".format(**rise)
+        text += f" {summary['shared_cells']} cells that both halves reached"
     yield "completeness", text
     for kind, texts in summary["assumptions"].items():
         yield from ((kind, text) for text in texts.values())

@@ -77,6 +77,15 @@ def test_sample_whose_halves_share_no_cell_is_said_to_be_too_small(cli: Cli, tmp
     assert "completeness    its halves reached no cell in common: give more --samples" in done.stdout
 
 
+@pytest.mark.usefixtures("unrendered")
+def test_completeness_counts_only_cells_that_both_halves_reached(cli: Cli, tmp_path: Path) -> None:
+    words = ("map", UR5, "-o", tmp_path / "map", "--samples", "100", "--table", "parquet")
+    result = json.loads(cli(*words, "--json").stdout)
+    counts = parquet.read_table(tmp_path / "map" / "map.parquet")["configurations"].to_numpy()
+    assert sum(counts > 1) >= result["shared_cells"] > 0
+    assert result["rise_by_second_half"]["p95"] > 0.0  # most cells hold one configuration: they show nothing
+
+
 @pytest.mark.parametrize(
     ("words", "rule"),
     [
