@@ -31,7 +31,7 @@ from scara_effmass.input_files import check_regular_file
 from scara_effmass.iso15066 import EDITION, TABLE_HASH, limits_for
 from scara_effmass.safety.assumptions import assumptions_of, deciding_mass, mass_source, scope
 from scara_effmass.settings import DaqSettings, MassModel, MonitorSettings, load_settings
-from scara_effmass.values import Verdict
+from scara_effmass.values import Verdict, at_most
 
 if TYPE_CHECKING:
     from scara_effmass.reference import RobotDynamics
@@ -221,7 +221,8 @@ def _robot(dynamics: RobotDynamics) -> Iterator[CheckResult]:
     yield CheckResult("ok", "robot", f"{robot.name} ({robot.origin}), base frame {robot.base_frame}")
     yield CheckResult("ok", "contact points", ", ".join(dynamics.contact_points))
     yield CheckResult.of("units", "plausible", robot.units_reason, "wrong")
-    yield CheckResult("ok", "reach", f"{robot.reach:.3g} m from {robot.joint_names[0]} over the joint ranges")
+    reach = f"at least {at_most(robot.reach, 3)} m from {robot.joint_names[0]}, in sampled poses"
+    yield CheckResult("ok", "reach", reach)
     for subject, problem, text in (
         ("masses", robot.masses_reason, "present"),
         ("centres of mass", robot.coms_reason, "present"),
