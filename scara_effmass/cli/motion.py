@@ -7,6 +7,7 @@ import json
 from collections.abc import Iterator, Sequence
 from functools import partial
 from io import StringIO
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,7 @@ from scara_effmass.safety import Monitor
 from scara_effmass.safety.assumptions import assumptions_of
 from scara_effmass.settings import MonitorSettings, VelocitySource
 from scara_effmass.sim.recordings import write_recording
-from scara_effmass.values import Decision, JointState, RunInfo, Verdict
+from scara_effmass.values import Decision, JointState, RunInfo, Verdict, at_most
 
 ADVICE, TABLE, SUMMARY, BAG = "advice", "segments.csv", "advice.json", "advised.mcap"
 MAX_LINES = 10
@@ -78,6 +79,11 @@ def run_advise(args: argparse.Namespace) -> int:
         write_recording(args.output / BAG, info, advice.states, (), overwrite=args.force)
     lines = [robot_line(dynamics.robot, settings)]
     lines += [("joint states", f"{len(motion.states)}, {unknown} of them UNKNOWN"), ("segments", str(len(rows)))]
+    slowest = sorted((row for row in rows if row["factor"]), key=itemgetter("factor"))[:1]
+    lines += [
+        ("slowest", f"factor {at_most(row['factor'], 3)} from {row['start_s']:.3f} s: {row['decides']}")
+        for row in slowest
+    ]
     lines += [("no speed", f"from {row['start_s']:.3f} s: {row['decides']}") for row in missing[:MAX_LINES]]
     if len(missing) > MAX_LINES:
         lines += [("no speed", f"of {len(missing) - MAX_LINES} more segments: see {TABLE}")]

@@ -14,7 +14,7 @@ from scara_effmass.share import share
 from scara_effmass.sim.motion import sample_moves
 from scara_effmass.sim.recordings import EPOCH_NS, JOINTS, write_recording
 from scara_effmass.studies.shipped_bags import tour_moves
-from scara_effmass.values import JointState, RunInfo
+from scara_effmass.values import JointState, RunInfo, at_most
 from test.cli.conftest import Cli, Refused
 
 
@@ -81,7 +81,11 @@ def test_motion_without_velocities_is_advised_by_its_positions(cli: Cli, tmp_pat
     done = cli("advise", zeros, "-o", tmp_path / "out")
     assert (done.returncode, done.stderr) == (1, "")
     assert "--velocity from-positions takes those of the positions" in done.stdout
-    assert cli("advise", zeros, "-o", tmp_path / "out", "--force", "--velocity", "from-positions").returncode == 0
+    done = cli("advise", zeros, "-o", tmp_path / "out", "--force", "--velocity", "from-positions")
+    assert done.returncode == 0
+    table = (tmp_path / "out" / "segments.csv").read_text(encoding="utf-8").splitlines()[1:]
+    _, start, _, _, factor, decides = min((row.split(",", 5) for row in table), key=lambda row: float(row[4]))
+    assert f"slowest         factor {at_most(float(factor), 3)} from {float(start):.3f} s: {decides}" in done.stdout
     advised = cli("assess", tmp_path / "out" / "advised.mcap", "-o", tmp_path / "advised.csv", "--json")
     assert not json.loads(advised.stdout)["cycles_by_verdict"]["VIOLATION"]
 
