@@ -31,7 +31,7 @@ from scara_effmass.model.robot import Robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety.joint_state_adapter import JointStateAdapter
 from scara_effmass.settings import MassModel, MonitorSettings
-from scara_effmass.values import FloatArray, ValidatedImpact
+from scara_effmass.values import FloatArray, ValidatedImpact, at_least
 from scara_effmass.wire.cdr import NS
 
 CONFIGURATIONS = 200
@@ -157,7 +157,7 @@ class Identification(NamedTuple):
         within = f"within {100 * half['median']:.1f} % (95 % of the workspace {100 * half['p95']:.1f} %)"
         yield "effective mass", f"{text}, {within}"
         of_file, corrected = self.mass_uncertainties
-        text = f"{of_file:.3f} for the robot file as it is, {corrected:.3f} for the corrected one"
+        text = f"{at_least(of_file, 3)} for the robot file as it is, {at_least(corrected, 3)} for the corrected one"
         yield "mass_uncertainty", text
 
     def rows(self) -> Iterator[tuple[object, ...]]:
