@@ -209,7 +209,8 @@ def run_claims(inputs: FigureInputs) -> Iterator[Claim]:
     for key, series in (("force_grows", by_point), ("force_order", by_mass)):
         steps = np.concatenate([np.diff(forces) for forces in series])
         rising = int(np.sum(steps > 0.0))
-        yield compared(key, f"{rising} of {steps.size} steps rise", met=rising == steps.size > 0, kind=kind)
+        text = f"{rising} of {steps.size} steps rise" if steps.size else None
+        yield compared(key, text, met=rising == steps.size, kind=kind)
     roots = np.array([root_reduced_mass(scara, *case) for case in peaks])
     forces = np.array(list(peaks.values()))
     if len(forces) < 3 or np.ptp(roots) == 0.0:
