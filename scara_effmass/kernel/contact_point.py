@@ -77,6 +77,18 @@ def in_base(joint: int, array: FloatArray, rotations: FloatArray) -> Vector3:
 
 
 @inlined
+def with_stated(error: float, shown: Vector3, n: Vector3, setup: Setup) -> tuple[float, bool]:
+    """Return the error of the acceleration `shown` [m/s2] with the stated limit, and whether that counts in its place.
+
+    Beside a smaller limit, a point that moves along `n` may speed up by it.
+    """
+    limit = setup.max_acceleration
+    if limit >= norm(shown) + error:
+        return limit, True
+    return max(error, limit * norm(n) - max(0.0, dot(n, shown))), False
+
+
+@inlined
 def approach_of(point: Point, vertex: int, motion: FloatArray, age: float, setup: Setup, work: Work) -> Approach:
     """Write the rows of J_v^T and dJ_v^T/dt; return the motion of the contact point.
 
@@ -113,13 +125,9 @@ def approach_of(point: Point, vertex: int, motion: FloatArray, age: float, setup
     if setup.normal == Normal.FIXED and is_moving:
         share = max(abs(dot(n, normal)), MIN_NORMAL_COMPONENT)
     held = fill_jacobian_rate(joint, place, velocity, setup, work)
-    is_limited = setup.max_acceleration >= norm(shown) + error
     total = add(shown, held)
     rate = (max(0.0, dot(n, total)) if is_moving else norm(total)) + error
-    if is_limited:
-        error = setup.max_acceleration
-    elif is_moving:
-        error = max(error, setup.max_acceleration - max(0.0, dot(n, shown)))
+    error, is_limited = with_stated(error, shown, n, setup)
     return Approach(
         joint + 1,
         point.rank,
