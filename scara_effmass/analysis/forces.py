@@ -104,9 +104,9 @@ def detected_impacts(values: Iterable[ForceBlock | Impact], detector: Detector |
     return (*chain.from_iterable(found), *detector.finish())
 
 
-def measurement_topic(bag: Bag, name: str) -> Topic:
-    """Return the topic of force or impacts `name`, else as `Bag.find_topic`, which raises BagError."""
-    return bag.find_topic(name, MEASUREMENTS, "--force-topic")
+def measurement_topic(bag: Bag, name: str, remedy: str = "") -> Topic:
+    """Return the topic of force or impacts `name`, else as `Bag.find_topic`, which raises BagError with `remedy`."""
+    return bag.find_topic(name, MEASUREMENTS, "--force-topic", remedy)
 
 
 def force_topics(bag: Bag) -> list[Topic]:

@@ -180,7 +180,7 @@ def validate_recording(
         infos = tuple(run_infos(bag))
         recording = ValidatedRecording(bag.path, states, str(force_path), infos, any(info.simulated for info in infos))
         if force_path is None:
-            force = measurement_topic(bag, settings.force.topic)
+            force = measurement_topic(bag, settings.force.topic, "; if it is in another file, state --force-from")
             check_other_forces(bag, force, settings.force, settings.detection)
             recording.force_topic = force.name
             measured = measurements(bag, force, settings.force)
