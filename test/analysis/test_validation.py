@@ -507,7 +507,7 @@ def test_a_recording_without_joint_states(campaign: list[Path], dynamics: RobotD
 
 def test_a_recording_without_force(campaign: list[Path], dynamics: RobotDynamics, altered: Altered) -> None:
     path = altered(campaign[0], without="/force")
-    with pytest.raises(BagError, match=f"{path}: has no topic of type scara_effmass_msgs/msg/ForceBlock, .*/Impact.*--force-from"):
+    with pytest.raises(BagError, match=f"{path}: has no topic of type .*/ForceBlock, .*/Impact.*--force-from"):
         validate([path], dynamics, SETTINGS)
 
 
