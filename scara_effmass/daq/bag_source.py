@@ -265,7 +265,8 @@ class BagSource(ForceSource):
         return begin_ns + round((self._last_ns(block) - self._first_ns) / self._settings.rate)
 
     def _converted(self, block: ForceBlock, now_ns: int, shift_ns: int) -> Reading:
-        samples = np.where(np.abs(block.force) <= MAX_VALUE, block.force, np.nan)[np.newaxis]
+        force = block.force + block.tare
+        samples = np.where(np.abs(force) <= MAX_VALUE, force, np.nan)[np.newaxis]
         samples.flags.writeable = False
         saturated = None
         if len(block.saturated_samples):
@@ -285,4 +286,6 @@ class BagSource(ForceSource):
             saturated=saturated,
             run=self._run,
             relative_uncertainty=block.relative_uncertainty,
+            tare=block.tare,
+            tare_stamp_ns=block.tare_stamp_ns and block.tare_stamp_ns + shift_ns,
         )

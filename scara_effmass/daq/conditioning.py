@@ -102,6 +102,8 @@ class SignalConditioner:
             source=self._description,
             simulated=self._source.simulated,
             relative_uncertainty=self._uncertainty if stated is None else stated,
+            tare=reading.tare * self._sign,
+            tare_stamp_ns=reading.tare_stamp_ns,
         )
         saturated: Sequence[BoolArray | None] = [None] * len(self.channels)
         # With NaN the comparisons are false, so they alone recognize the usual case.
@@ -119,7 +121,7 @@ class ForceChannel:
 
     Blocks are never held back: until the first tare is complete, they state a tare of 0 with the stamp 0. A new tare
     applies from the next reading on; force plus tare, which is what the sensor read, has no step there. A refused tare
-    changes nothing and sets `tare_problem`.
+    changes nothing and sets `tare_problem`. Of the tares of a recording and of this node, the latest one applies.
     """
 
     def __init__(self, name: str, frame_id: str, settings: DaqSettings, source: ForceSource) -> None:
@@ -188,6 +190,8 @@ class ForceChannel:
         if self._lowpass:
             force = self._lowpass(force)
         marks = self._influenced(saturated, force.size)
+        if common.tare_stamp_ns >= self.tare_stamp_ns:
+            self.tare, self.tare_stamp_ns = common.tare, common.tare_stamp_ns
         block = common._replace(
             frame_id=self.frame_id,
             stamp_ns=common.stamp_ns + round((start / common.sample_rate - self.lowpass_delay) * NS),

@@ -12,7 +12,7 @@ class Reading(NamedTuple):
     first_sample: int
     """Number of the first sample, counted from `start` and including lost samples."""
     samples: FloatArray
-    """(channels, n) [N]"""
+    """(channels, n) [N], as the sensors read them"""
     lost: int
     """Number of samples missing directly before the first one."""
     read_ns: int
@@ -27,6 +27,9 @@ class Reading(NamedTuple):
     """Increases when the source restarts and its clock must be estimated again."""
     relative_uncertainty: float | None = None
     """Uncertainty stated by a recording; None: that of the settings applies."""
+    tare: float = 0.0
+    """Tare of a recording, which `samples` include [N], and its time; 0: none."""
+    tare_stamp_ns: int = 0
 
 
 class ForceSource(Protocol):

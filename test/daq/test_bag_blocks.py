@@ -11,9 +11,10 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.daq.bag_source import BagSource
+from scara_effmass.daq.conditioning import SignalConditioner
 from scara_effmass.daq.source import Reading
 from scara_effmass.errors import BagError, SettingsError
-from scara_effmass.settings import BagSettings, DaqSettings, SensorSettings
+from scara_effmass.settings import BagSettings, DaqSettings, SensorSettings, TareSettings
 from scara_effmass.wire.force import force_block_message
 from scara_effmass.wire.message_types import FLOAT64, FORCE_BLOCK, WRENCH, WRENCH_STAMPED
 from test.bags.messages import header, message, serialized
@@ -75,6 +76,36 @@ def test_blocks_are_played_unchanged(tmp_path: Path) -> None:
         assert not reading.samples.flags.writeable
         marks = [] if reading.saturated is None else np.flatnonzero(reading.saturated[0]).tolist()
         assert marks == block.saturated_samples.tolist()
+
+
+@pytest.mark.parametrize("at_start", [True, False])
+@pytest.mark.parametrize("invert", [True, False])
+def test_tare_of_a_recording_is_subtracted_once(tmp_path: Path, *, at_start: bool, invert: bool) -> None:
+    """The recording has the tare at its start, and another one in a press of 60 N, as a live `daq_node` records it."""
+    raw, stamp_ns = np.full(100, 20.0), START_NS + 499 * MS
+    tares = [(0.0, 0)] * 5 + [(20.0, stamp_ns)] * 5 + [(80.0, stamp_ns + NS)] * 5
+    blocks = [
+        force_block(100 * number, force=raw + 60.0 * (number >= 7) - tare[0], tare=tare[0], tare_stamp_ns=tare[1])
+        for number, tare in enumerate(tares)
+    ]
+    path = write_blocks(tmp_path / "run", blocks)
+    settings = DaqSettings(
+        bag=BagSettings(path=str(path), rate=0.0),
+        sensor=SensorSettings(invert=invert),
+        tare=TareSettings(at_start=at_start),
+    )
+    sign = -1.0 if invert else 1.0
+    source = BagSource(settings, lambda: START_NS)
+    source.start()
+    signal = SignalConditioner(source, settings)
+    for block in blocks:
+        reading = source.read(0.0)
+        assert reading is not None
+        ((played_block,),) = signal.blocks(reading)
+        assert played_block.force == pytest.approx(sign * block.force)
+        assert played_block.tare == pytest.approx(sign * block.tare)
+        assert played_block.tare_stamp_ns == block.tare_stamp_ns
+    source.close()
 
 
 def test_samples_missing_between_blocks_are_counted(tmp_path: Path) -> None:
