@@ -309,7 +309,7 @@ def classify(
     if baseline.zero_run == MIN_ZERO_RUN:
         valid[[0, -1]] &= samples[[0, -1]] != 0.0  # they may belong to a run that continues outside
     force[~valid] = 0.0
-    threshold = _threshold(force, valid, baseline, gap)
+    threshold = _threshold(force, valid, baseline, gap, margin)
     glitches = lone_samples(force, threshold)
     glitches = glitches[valid[glitches - 1] & valid[glitches] & valid[glitches + 1]]
     single = force[glitches]
@@ -319,7 +319,7 @@ def classify(
     contacts, others = _contacts(signal)
     tensile_pulses: list[DetectedContact] = []
     if force.min() < -baseline.threshold:
-        threshold = _threshold(-force, valid, baseline, gap)
+        threshold = _threshold(-force, valid, baseline, gap, margin)
         pulls = signal._replace(force=-force, threshold=threshold, longest=sys.maxsize, transient=sys.maxsize)
         tensile_pulses, _ = _contacts(pulls)
     spans = [(first, last + 1, NO_CONTACT) for first, last in others]
@@ -566,16 +566,21 @@ def _loads(signal: _Signal, spans: list[Span]) -> list[Span]:
     return joined
 
 
-def _threshold(force: FloatArray, valid: BoolArray, baseline: Baseline, gap: int) -> float:
+def _threshold(force: FloatArray, valid: BoolArray, baseline: Baseline, gap: int, margin: int) -> float:
     """Return the contact threshold [N].
 
     It is that of the baseline, but higher if the force outside the contacts is noisier, as while the structure rings.
+    A slow change, as after a press with AC coupling, is no noise: each part of `margin` samples has a level of its own.
     """
     outside = valid.copy()
     for first, last in separate(force, valid, baseline.threshold, gap):
         outside[first : last + 1] = False
     rest = force[outside]
-    return baseline.threshold_for(median_and_deviation(rest)[1]) if rest.size else baseline.threshold
+    if not rest.size:
+        return baseline.threshold
+    parts = np.array_split(rest, max(rest.size // margin, 1))
+    noise = np.concatenate([part - _median(part) for part in parts])
+    return baseline.threshold_for(median_and_deviation(noise)[1])
 
 
 def _crossing(force: FloatArray, index: int, value: float) -> float:

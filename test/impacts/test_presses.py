@@ -2,7 +2,7 @@
 """Slow presses and loads are contacts that stay, no impacts, whichever samples are missing or held."""
 
 from collections.abc import Callable, Iterable
-from itertools import pairwise
+from itertools import accumulate, pairwise
 
 import numpy as np
 import pytest
@@ -58,6 +58,24 @@ def detect_present(make_block: MakeBlock, force: FloatArray, rate: float, presen
         impacts += len(quick(detector.feed(make_block(force[first:stop], first, rate, lost=first - end))))
         end = stop
     return impacts + len(quick(detector.finish())), detector
+
+
+@pytest.mark.parametrize("duration", [0.2, 0.4, 0.8])
+@pytest.mark.parametrize("corner", [0.1, 0.5])
+def test_undershoot_of_ac_coupling_is_no_noise_that_hides_its_press(
+    detect: Detect, corner: float, duration: float
+) -> None:
+    """The undershoot of up to 90 N decays within the segment of the press."""
+    rate, rng = 2_000.0, np.random.default_rng(0)
+    time = np.arange(round(8.0 * rate)) / rate
+    force = 100.0 * np.clip((time - 2.0) / 0.01, 0.0, 1.0) * np.clip((2.0 + duration - time) / 0.01, 0.0, 1.0)
+    keep = np.exp(-2.0 * np.pi * corner / rate)
+    mean = np.array(list(accumulate(force, lambda mean, sample: keep * mean + (1.0 - keep) * sample)))
+    impacts, detector = detect(force - mean + rng.normal(0.0, NOISE, force.size), rate)
+    (impact,) = impacts
+    assert impact.peak_force == pytest.approx(100.0, abs=2.5)
+    assert impact.duration == pytest.approx(duration, abs=0.05)
+    assert all(item.peak_force < 15.0 for item in detector.left_out)
 
 
 @pytest.mark.parametrize("rate", [*RATES, 12_800.0])

@@ -40,9 +40,9 @@ def test_what_pulls_more_than_it_pushes_is_no_contact() -> None:
     samples = noise(FRAME)
     samples[300:306] += [20.0, 20.0, -90.0, -90.0, 20.0, 20.0]
     marks = np.zeros(FRAME, dtype=np.bool_)
-    assert not classify(samples, marks, baseline, 4, 0).contacts
+    assert not classify(samples, marks, baseline, 4, 10).contacts
     samples[302:304] += 85.0
-    assert len(classify(samples, marks, baseline, 4, 0).contacts) == 1
+    assert len(classify(samples, marks, baseline, 4, 10).contacts) == 1
 
 
 def test_contact_ends_before_the_first_sample_of_the_next_one() -> None:

@@ -94,7 +94,7 @@ def test_an_unseen_flank_is_told() -> None:
 def test_segment_of_nothing_but_contact_holds_one_incomplete_contact() -> None:
     baseline = Baseline(DetectionSettings(), [Frame(np.random.default_rng(n).normal(0.0, 0.1, 640)) for n in range(5)])
     samples = np.array([60.0, 80.0, 70.0, 50.0])
-    (contact,) = classify(samples, np.zeros(4, dtype=np.bool_), baseline, 4, 0).contacts
+    (contact,) = classify(samples, np.zeros(4, dtype=np.bool_), baseline, 4, 10).contacts
     assert (contact.first, contact.last, contact.complete) == (0, 3, False)
     assert (contact.onset, contact.end) == (0.0, 3.0)
     assert contact.peak == pytest.approx(80.0, abs=1.0)
@@ -105,7 +105,7 @@ def test_segment_of_nothing_but_contact_holds_one_incomplete_contact() -> None:
 def test_incomplete_contact_has_at_least_three_samples(samples: list[float], count: int) -> None:
     baseline = Baseline(DetectionSettings(), [Frame(np.random.default_rng(n).normal(0.0, 0.1, 640)) for n in range(5)])
     force = np.array([*np.zeros(20), *samples])
-    assert len(classify(force, np.zeros(force.size, dtype=np.bool_), baseline, 4, 0).contacts) == count
+    assert len(classify(force, np.zeros(force.size, dtype=np.bool_), baseline, 4, 10).contacts) == count
 
 
 @pytest.mark.parametrize("index", [0, 3, 39])
@@ -117,7 +117,7 @@ def test_saturated_sample_clips_the_contact_that_contains_it(index: int) -> None
         samples[first : first + 4] += [60.0, 80.0, 70.0, 50.0]
     saturated = np.zeros(40, dtype=np.bool_)
     saturated[index] = True
-    clipped = [contact.clipped for contact in classify(samples, saturated, baseline, 4, 0).contacts]
+    clipped = [contact.clipped for contact in classify(samples, saturated, baseline, 4, 10).contacts]
     assert clipped == [index < 4, index >= 36]
 
 
