@@ -17,7 +17,7 @@ from scara_effmass.bags.batches import LossLog, Topic
 from scara_effmass.bags.files import open_bag
 from scara_effmass.errors import BagError
 from scara_effmass.impacts.detector import Detector
-from scara_effmass.impacts.load import MAX_HELD_S, TENSION, left_out_text
+from scara_effmass.impacts.load import AC_COUPLED, LARGER_HELD, MAX_HELD_S, TENSION, left_out_text
 from scara_effmass.importers.force import IMPORTERS, import_force, import_wrenches
 from scara_effmass.importers.force_file import TABLE_SETTINGS, refuse_settings
 from scara_effmass.iso15066 import TRANSIENT_S
@@ -35,9 +35,6 @@ BEFORE_S = 0.01
 """Time before the onset; its median force is the baseline."""
 LOW_SHARE = 0.1
 """Share of the peak; the contact lasts while the force is above it."""
-AC_COUPLED = "AC coupl"
-"""In the source of a force whose constant part the converter removes: what stays decays within seconds."""
-LARGER_HELD = "AC coupling removes a force that stays: held forces are larger than measured"
 NO_BLOCKS = "only impacts were recorded: what their detection left out is not known"
 AFTER_S = 0.1
 """Time after the onset in a report of impacts."""

@@ -19,7 +19,6 @@ import numpy as np
 
 from scara_effmass.analysis.assessment import AssessedState, Time, assessed_rows, joint_state_topic
 from scara_effmass.analysis.forces import (
-    AC_COUPLED,
     ForceTrace,
     Measurement,
     check_other_forces,
@@ -134,11 +133,6 @@ class Validation(NamedTuple):
     recordings: tuple[ValidatedRecording, ...]
     by_motion: Mapping[str, ScaleByMotion] = MappingProxyType({})
     no_motion: str = ""
-
-    @property
-    def ac_coupled(self) -> bool:
-        """Whether a force that stayed was larger than measured."""
-        return any(AC_COUPLED in source for recording in self.recordings for source in recording.sources)
 
     def names(self) -> list[str]:
         """Return the name of the recording of each impact."""

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from scara_effmass import __version__
-from scara_effmass.analysis.forces import AFTER_S, LARGER_HELD, ShownTrace
+from scara_effmass.analysis.forces import AFTER_S, ShownTrace
 from scara_effmass.analysis.output import json_types
 from scara_effmass.analysis.report import (
     ENGLISH_PAGE,
@@ -38,7 +38,7 @@ from scara_effmass.analysis.report import (
 from scara_effmass.analysis.validation import Validation, ValidationSettings
 from scara_effmass.impacts.agreement import RegionForce, region_force
 from scara_effmass.impacts.impact_matcher import REBOUND
-from scara_effmass.impacts.load import left_out_text
+from scara_effmass.impacts.load import LARGER_HELD, left_out_text
 from scara_effmass.impacts.validator import ModelResult, Result
 from scara_effmass.input_files import read_table
 from scara_effmass.iso15066 import Limit, force_per_root_stiffness, limits_for
@@ -102,7 +102,7 @@ def summary_lines(validation: Validation) -> Iterator[tuple[str, str]]:
     yield "result", result.verdict
     yield "limit", limit_text(result)
     if held := held_text(result):
-        yield "held", f"{held}; {LARGER_HELD}" if validation.ac_coupled else held
+        yield "held", f"{held}; {LARGER_HELD}" if result.ac_coupled else held
     yield "impacts", impacts_text(result)
     for recording in validation.recordings:
         if recording.force_clock:

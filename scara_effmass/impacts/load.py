@@ -23,6 +23,9 @@ LATER_LOAD = "load that goes on after its contact was reported"
 SLOW_CHANGE = "slow change: drift, or a press that comes and goes slowly"
 IN_NOISE = "within the noise: less than noise_factor times its standard deviation"
 TENSION = "below the baseline: tension, an earlier load that goes, or a wrong sign"
+AC_COUPLED = "AC coupl"
+"""In the source of a force whose constant part the converter removes: what stays decays within seconds."""
+LARGER_HELD = "AC coupling removes a force that stays: held forces are larger than measured"
 LOADS = {EARLIER_LOAD, LATER_LOAD, SLOW_CHANGE}
 """Reasons of force that stays or changes slowly."""
 
@@ -54,7 +57,8 @@ def peak_text(impact: Impact) -> str:
     """Return the peak of an impact, the load beneath it, and what stayed."""
     bound = " at least" if impact.clipped or impact.incomplete else ""
     load = f" on a load of {impact.load_force:.1f} N" if impact.load_force else ""
-    held = f", held {impact.held_force:.1f} N" if impact.held_force else ""
+    decays = " at least" if AC_COUPLED in impact.source else ""
+    held = f", held {impact.held_force:.1f} N{decays}" if impact.held_force else ""
     return f"{impact.peak_force:.1f} N{bound}{load}{held}"
 
 

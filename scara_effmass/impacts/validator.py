@@ -33,7 +33,7 @@ from scara_effmass.impacts.impact_matcher import (
     ImpactMatcher,
     MatchedImpact,
 )
-from scara_effmass.impacts.load import LOADS
+from scara_effmass.impacts.load import AC_COUPLED, LOADS
 from scara_effmass.impacts.segment import STUCK
 from scara_effmass.impacts.state_history import MODELS, ClockOffset, Rejection, clock_offset
 from scara_effmass.iso15066 import limits_for
@@ -100,6 +100,7 @@ class Result(NamedTuple):
     the force; empty: none. `clock_offset` is that of the impacts in the series. `gain_tolerance` is that of the sensor.
     `held` are the contacts whose force stayed, in the series or left out. What stayed is compared with the quasi-static
     limits, as measured, and the first 0.5 s of a press, which is no impact, with the limits for impacts, as measured.
+    `ac_coupled`: the converter removed a part of some of them.
     `left_out` are the contacts left out of the series and the force in no impact; their peaks are converted with the
     most unfavourable impact of the series, without a series as measured. Rebounds no larger than their impact count
     with it. `exceedances` counts the impacts with a force above a limit, and those of `left_out`. `unmeasured` counts
@@ -124,6 +125,7 @@ class Result(NamedTuple):
     force_sign: str
     gain_tolerance: float
     held: ComparedForces
+    ac_coupled: bool
     left_out: ComparedForces
     exceedances: int
     unmeasured: int
@@ -172,6 +174,7 @@ class Validator:
         self._earlier = 0  # of them, those of earlier recordings
         self._min_force = self._max_force = self._stated_uncertainty = 0.0
         self._past_problems = "", ""
+        self._ac_coupled = False  # a force that stayed
 
     def know(self, contact_points: Iterable[str]) -> None:
         """Name contact points whose states may not be added."""
@@ -208,6 +211,7 @@ class Validator:
     def add_impact(self, impact: Impact, received_ns: int) -> list[ValidatedImpact]:
         """Add an impact that arrived at `received_ns` (0: unknown); return newly validated impacts."""
         self._matcher.add_impact(impact, received_ns)
+        self._ac_coupled |= impact.held_force > 0.0 and AC_COUPLED in impact.source
         return self._validate()
 
     def pass_time(self, now_ns: int) -> list[ValidatedImpact]:
@@ -266,6 +270,7 @@ class Validator:
         mine.refused += its.refused
         self.left_out += other.left_out
         mine.states.late += its.states.late
+        self._ac_coupled |= other._ac_coupled  # noqa: SLF001
         self._contact_point = self._contact_point or other._contact_point  # noqa: SLF001
         self._contact_points |= other._contact_points  # noqa: SLF001
         self._stated_uncertainty = max(self._stated_uncertainty, other._stated_uncertainty)  # noqa: SLF001
@@ -279,6 +284,7 @@ class Validator:
         self._matches.clear()
         self.left_out = ()
         self._earlier = 0
+        self._ac_coupled = False
         self._contact_points.clear()
         self._stated_uncertainty = 0.0
         self._clear_problems()
@@ -308,6 +314,7 @@ class Validator:
             force_sign=force_sign,
             gain_tolerance=self._gain_tolerance,
             held=self._held_forces(),
+            ac_coupled=self._ac_coupled,
             left_out=summary.left_out,
             exceedances=statistics.exceedances,
             unmeasured=sum(reason in {CLIPPED, INCOMPLETE, STUCK} for reason in reasons),

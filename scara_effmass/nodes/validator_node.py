@@ -17,7 +17,7 @@ from scara_effmass.errors import DecodeError, SettingsError
 from scara_effmass.impacts.agreement import comparison_text
 from scara_effmass.impacts.detector import Detector
 from scara_effmass.impacts.impact_matcher import DUPLICATE, REBOUND
-from scara_effmass.impacts.load import LeftOuts
+from scara_effmass.impacts.load import LARGER_HELD, LeftOuts
 from scara_effmass.impacts.validator import Validator
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.diagnostics import Diagnostics, no_publisher, several_publishers, status
@@ -225,6 +225,8 @@ def series_status(
         )
     if result.unmeasured:
         problems.append(f"{result.unmeasured} contacts clipped, incomplete or stuck: their force is not known")
+    if result.ac_coupled:
+        problems.append(LARGER_HELD)
     problems += [result.clock, result.force_sign, unheard]
     if unpaired := sum(result.unpaired.values()):
         problems.append(f"{unpaired} impacts could not be paired: {', '.join(result.unpaired)}")

@@ -232,9 +232,8 @@ def test_the_folder_must_not_be_a_file(tmp_path: Path) -> None:
 def test_held_forces_are_larger_than_measured_with_ac_coupling(
     validation: Validation, dynamics: RobotDynamics, tmp_path: Path
 ) -> None:
-    """The converter of the simulated cell has it."""
     held = ComparedForces(1, 0, RegionForce("chest", 100.0, 140.0, ""))
-    changed = validation._replace(result=validation.result._replace(held=held))
+    changed = validation._replace(result=validation.result._replace(held=held, ac_coupled=True))
     assert "held forces are larger than measured" in dict(summary_lines(changed))["held"]
     texts = texts_of(written(changed, dynamics, tmp_path / "report"))
     assert any("held forces are larger than measured" in text for text in texts)

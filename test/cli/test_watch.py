@@ -147,6 +147,8 @@ def test_screen_shows_impact_past_episode_and_simulation() -> None:
     cell.take_impact(loaded, 6 * S)
     text = " ".join(lines(cell, 6 * S, 120, 40))
     assert "last impact: peak 123.4 N at least on a load of 60.0 N, held 30.0 N, 0 s ago" in text
+    cell.take_impact(loaded._replace(source="NI 9230, AC coupling"), 6 * S)
+    assert "held 30.0 N at least, 0 s ago" in " ".join(lines(cell, 6 * S, 120, 40))
 
 
 def test_impact_is_shown_with_the_force_on_the_region_that_its_limit_is_for() -> None:

@@ -9,6 +9,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from scara_effmass.cell.status import left_out_entry
+from scara_effmass.impacts.load import LARGER_HELD
 from scara_effmass.impacts.validator import Validator
 from scara_effmass.nodes.validator_node import series_status
 from scara_effmass.settings import ValidatorSettings
@@ -68,6 +69,20 @@ def test_no_problem_hides_another_and_the_most_serious_one_comes_first() -> None
     places = [found.message.index(kind) for kind in (*kinds, "5000 undecodable messages, the last one: bad")]
     assert places == sorted(places)
     assert {pair.key: pair.value for pair in found.values}["undecodable: Impact"] == "5000"
+
+
+def test_held_force_of_which_ac_coupling_removes_a_part_is_not_ok() -> None:
+    validator = Validator(ValidatorSettings(contact_point="tool"))
+    impact = IMPACT._replace(rebound=1, source="NI 9230, AC coupling")
+    validator.add_impact(impact, NOW)
+    assert series(validator, "tool").level == DiagnosticStatus.OK
+    validator.add_impact(impact._replace(stamp_ns=NOW + 1, held_force=50.0), NOW)
+    assert series(validator, "tool").message == LARGER_HELD
+    other = Validator(validator.settings)
+    other.extend(validator)
+    assert other.result().ac_coupled
+    validator.reset()
+    assert series(validator, "tool").level == DiagnosticStatus.OK
 
 
 def test_each_impact_that_is_left_out_is_named_with_its_reason() -> None:
