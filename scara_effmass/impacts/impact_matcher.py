@@ -31,6 +31,7 @@ CLIPPED = "clipped: the force reached the end of the measuring range"
 INCOMPLETE = "incomplete: samples are lost or doubtful, or the recording ends during it"
 DUPLICATE = "duplicate: an impact of this source with this stamp came before"
 PRESS = "press: the force rose slowly, or stayed near its peak"
+APART = "their clocks differ, or the machine is overloaded"
 MAX_LAGS = 1000
 """Maximum number of lags that are kept, each for force blocks and for impacts."""
 
@@ -176,7 +177,7 @@ class ForceClock:
             offset = median(self._block_lags or self._impact_lags) - lag
             max_delay_ns = self._tolerance_ns if self._block_lags else self._delay_ns
             if not -self._tolerance_ns <= offset <= max_delay_ns:
-                return f"force and contact states are {abs(offset) / NANOSECONDS:.2f} s apart: their clocks differ"
+                return f"force and contact states are {abs(offset) / NANOSECONDS:.2f} s apart: {APART}"
         if self._impact_stamps and len(states):
             first_ns, last_ns = self._impact_stamps
             gap = max(states.first_ns - last_ns, first_ns - states.last_ns)
@@ -337,7 +338,7 @@ class ImpactMatcher:
             return Rejection("no contact state")
         offset_ns = received_ns - impact.reported_ns - lag_ns
         if deadline_ns and not -self._max_wait_ns <= offset_ns <= self._max_delay_ns:
-            reason = "force and contact states are seconds apart: their clocks differ"
+            reason = f"force and contact states are seconds apart: {APART}"
             return Rejection(reason, f"by {abs(offset_ns) / NANOSECONDS:.2f} s")
         state = self.states.at(onset_ns, self._uncertainty_ns(impact), deadline_ns)
         if normal is None or isinstance(state, Rejection):

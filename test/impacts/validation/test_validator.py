@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scara_effmass.errors import SettingsError
+from scara_effmass.impacts.impact_matcher import APART
 from scara_effmass.impacts.validator import Validator
 from scara_effmass.settings import MassModel, ValidatorSettings
 from scara_effmass.values import NAN, Decision, ForceBlock, RunInfo
@@ -326,7 +327,7 @@ def test_clocks_apart(make_cell: MakeCell, ahead_s: float) -> None:
     cell = make_cell(force_clock_ns=round(ahead_s * 1e9))
     validated, result = run(cell, ValidatorSettings(history=60.0))
     assert not validated
-    assert result.unpaired == {"force and contact states are seconds apart: their clocks differ": 12}
+    assert result.unpaired == {f"force and contact states are seconds apart: {APART}": 12}
     assert result.clock.startswith("force and contact states are ")
     assert float(result.clock.split()[5]) == pytest.approx(abs(ahead_s), abs=0.2)
     assert result.reason == result.clock
@@ -353,10 +354,10 @@ def test_force_blocks_detect_smaller_clock_offsets(campaign: Cell) -> None:
     assert validator.result().clock == ""
     for i in range(11):
         validator.add_force(block([0.0] * 128, START + i * 100 * MS), START + (i * 100 + 10 + 802) * MS)
-    assert validator.result().clock == "force and contact states are 0.80 s apart: their clocks differ"
+    assert validator.result().clock == f"force and contact states are 0.80 s apart: {APART}"
     for i in range(30):
         validator.add_force(block([0.0] * 128, START + i * 100 * MS), START + (i * 100 + 10 - 798) * MS)
-    assert validator.result().clock == "force and contact states are 0.80 s apart: their clocks differ"
+    assert validator.result().clock == f"force and contact states are 0.80 s apart: {APART}"
 
 
 @pytest.mark.parametrize("days", [-1, 1])
@@ -394,7 +395,7 @@ def test_impact_arrives_between_the_clock_tolerance_before_and_the_delay_after_i
     validator.add_impact(make_impact(START - 500 * MS), START - 500 * MS + delay_ns)
     validator.finish()
     result = validator.result()
-    assert result.unpaired == ({"force and contact states are seconds apart: their clocks differ": 1} if apart else {})
+    assert result.unpaired == ({f"force and contact states are seconds apart: {APART}": 1} if apart else {})
     assert bool(result.clock) == bool(apart)
 
 
