@@ -25,6 +25,7 @@ from scara_effmass.bags.bag import Bag, RawMessage
 from scara_effmass.bags.batches import MAX_TIME_NS
 from scara_effmass.bags.files import open_bag
 from scara_effmass.errors import BagError, EffmassError, SettingsError
+from scara_effmass.nodes.diagnostics import several_publishers
 from scara_effmass.nodes.readiness import ReadinessReports
 from scara_effmass.nodes.ros import ClientNode, qos_profile
 from scara_effmass.wire import topics as wire_topics
@@ -148,7 +149,7 @@ def replay(options: ReplayOptions, on_progress: OnProgress = lambda *_: None) ->
         publishers = player.publishers.values()
         report.sent = {publisher.name: publisher.sent for publisher in publishers}
         report.unheard = tuple(publisher.name for publisher in publishers if not publisher.had_subscriber)
-        report.warnings = tuple(bag.losses)
+        report.warnings = (*bag.losses, *player.other_publishers.values())
         return report
 
 
@@ -179,6 +180,8 @@ class _Player:
         self._readiness = ReadinessReports(client.node)  # after all other subscriptions
         self._now_ns = self._start_ns
         self._progress_ns = 0
+        self.other_publishers: dict[str, str] = {}
+        """Warning of each topic that others publish, too, by name; receivers then mix their messages."""
 
     def play(self) -> None:
         """Wait for the nodes, play all passes, and wait until every subscriber has received everything."""
@@ -271,6 +274,9 @@ class _Player:
         if now_ns - self._progress_ns < _PROGRESS_NS:
             return
         self._progress_ns = now_ns
+        for name in {CLOCK, *(publisher.name for publisher in self.publishers.values())} - SHARED:
+            if warning := several_publishers(self._client.node, name):
+                self.other_publishers[name] = warning
         self._on_progress(
             self.report.passes,
             (self._now_ns - self._start_ns) / NS,

@@ -188,6 +188,14 @@ def test_messages_and_clock_arrive_once_in_order_and_unchanged(bag: Path) -> Non
     assert (report.passes, report.interrupted) == (1, False)
 
 
+def test_topics_that_others_publish_too_are_named(bag: Path) -> None:
+    with Receiver("/joint_states", "/clock"), ros_node("other") as other:
+        other.create_publisher(Clock, "/clock", DEEP)
+        other.create_publisher(JointStateMessage, "/joint_states", DEEP)
+        report = play(bag)
+    assert set(report.warnings) == {f"2 publishers of {topic}: must be one" for topic in ("/clock", "/joint_states")}
+
+
 @pytest.mark.parametrize("rate", [0.5, 1.0, 4.0])
 def test_messages_are_not_sent_early(bag: Path, rate: float) -> None:
     with Receiver("/joint_states") as receiver:
