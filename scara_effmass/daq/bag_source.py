@@ -286,6 +286,7 @@ class BagSource(ForceSource):
             saturated=saturated,
             run=self._run,
             relative_uncertainty=block.relative_uncertainty,
+            sample_rate=block.sample_rate,
             tare=block.tare,
             tare_stamp_ns=block.tare_stamp_ns and block.tare_stamp_ns + shift_ns,
         )

@@ -76,7 +76,7 @@ class SignalConditioner:
         # If the sample numbers restart, only the source knows what is missing.
         lost = reading.lost if self._end is None else max(reading.lost, first - self._end)
         self._end = first + n
-        sample_rate, residual = self._source.sample_rate, reading.clock_residual
+        sample_rate, residual = reading.sample_rate or self._source.sample_rate, reading.clock_residual
         if reading.stamp_ns is not None:
             stamp_ns = reading.stamp_ns
         elif n:

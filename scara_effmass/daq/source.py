@@ -27,6 +27,8 @@ class Reading(NamedTuple):
     """Increases when the source restarts and its clock must be estimated again."""
     relative_uncertainty: float | None = None
     """Uncertainty stated by a recording; None: that of the settings applies."""
+    sample_rate: float = 0.0
+    """Rate stated by a recording for these samples [Hz]; 0: that of the source."""
     tare: float = 0.0
     """Tare of a recording, which `samples` include [N], and its time; 0: none."""
     tare_stamp_ns: int = 0

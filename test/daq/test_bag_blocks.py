@@ -15,6 +15,8 @@ from scara_effmass.daq.conditioning import SignalConditioner
 from scara_effmass.daq.source import Reading
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.settings import BagSettings, DaqSettings, SensorSettings, TareSettings
+from scara_effmass.settings.loading import FrozenSettings
+from scara_effmass.values import ForceBlock
 from scara_effmass.wire.force import force_block_message
 from scara_effmass.wire.message_types import FLOAT64, FORCE_BLOCK, WRENCH, WRENCH_STAMPED
 from test.bags.messages import header, message, serialized
@@ -36,6 +38,17 @@ def opened(path: Path, topic: str = "") -> Iterator[BagSource]:
 def played(path: Path, topic: str = "") -> list[Reading]:
     with opened(path, topic) as source:
         return list(iter(lambda: source.read(0.0), None))
+
+
+def published(path: Path, **settings: FrozenSettings) -> list[ForceBlock]:
+    """Return the blocks that `daq_node` publishes."""
+    daq = DaqSettings.model_validate({"bag": BagSettings(path=str(path), rate=0.0), **settings})
+    source = BagSource(daq, lambda: START_NS)
+    source.start()
+    signal = SignalConditioner(source, daq)
+    blocks = [block for reading in iter(lambda: source.read(0.0), None) for block in signal.blocks(reading)[0]]
+    source.close()
+    return blocks
 
 
 @pytest.mark.parametrize("delay_ms", [3, 50, 70])
@@ -89,23 +102,19 @@ def test_tare_of_a_recording_is_subtracted_once(tmp_path: Path, *, at_start: boo
         for number, tare in enumerate(tares)
     ]
     path = write_blocks(tmp_path / "run", blocks)
-    settings = DaqSettings(
-        bag=BagSettings(path=str(path), rate=0.0),
-        sensor=SensorSettings(invert=invert),
-        tare=TareSettings(at_start=at_start),
-    )
     sign = -1.0 if invert else 1.0
-    source = BagSource(settings, lambda: START_NS)
-    source.start()
-    signal = SignalConditioner(source, settings)
-    for block in blocks:
-        reading = source.read(0.0)
-        assert reading is not None
-        ((played_block,),) = signal.blocks(reading)
-        assert played_block.force == pytest.approx(sign * block.force)
-        assert played_block.tare == pytest.approx(sign * block.tare)
-        assert played_block.tare_stamp_ns == block.tare_stamp_ns
-    source.close()
+    sensor, tare = SensorSettings(invert=invert), TareSettings(at_start=at_start)
+    for block, again in zip(blocks, published(path, sensor=sensor, tare=tare), strict=True):
+        assert again.force == pytest.approx(sign * block.force)
+        assert again.tare == pytest.approx(sign * block.tare)
+        assert again.tare_stamp_ns == block.tare_stamp_ns
+
+
+def test_each_block_keeps_the_rate_that_the_fit_of_the_clock_gave_it(tmp_path: Path) -> None:
+    """With that of the first block, stamps within later ones would be early or late."""
+    rates = [1000.0, 1000.2, 999.9]
+    path = write_blocks(tmp_path / "run", [force_block(100 * n, sample_rate=rate) for n, rate in enumerate(rates)])
+    assert [block.sample_rate for block in published(path)] == rates
 
 
 def test_samples_missing_between_blocks_are_counted(tmp_path: Path) -> None:
