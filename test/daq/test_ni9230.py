@@ -23,7 +23,6 @@ from nidaqmx.constants import (
 )
 from nidaqmx.errors import DaqFunctionNotSupportedError, DaqNotSupportedError
 
-from scara_effmass.analysis.forces import AC_COUPLED
 from scara_effmass.daq import make_source
 from scara_effmass.daq.ni9230 import Ni9230Source
 from scara_effmass.daq.ni_driver import devices, driver_version
@@ -37,6 +36,7 @@ from scara_effmass.errors import (
     OverrunError,
     SettingsError,
 )
+from scara_effmass.impacts.load import AC_COUPLED
 from scara_effmass.settings import DaqSettings, checked
 from scara_effmass.values import FloatArray
 from test.daq.conftest import NiDevice
