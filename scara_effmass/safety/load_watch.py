@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from functools import partial
 from typing import NamedTuple
@@ -21,7 +22,7 @@ from scara_effmass.values import FloatArray
 ALARM = 5.0
 """Standard deviations by which mass or moment of the load must differ from the stated one to contradict it."""
 WITHDRAWN = 2.5
-"""Standard deviations within which the moment must be for a doubt to end."""
+"""Standard deviations within which the moment must be, and by which the load in doubt must differ, to end a doubt."""
 MIN_SHARE = 0.01
 """Smallest share of the mass of the arm, and of an effective mass, that counts: no model of friction is better."""
 
@@ -80,7 +81,7 @@ class LoadWatch:
             return self
         watch = LoadWatch(dynamics, settings)
         if dynamics is self._dynamics:
-            watch.doubt = self.doubt
+            watch.doubt, watch._doubted = self.doubt, self._doubted
         return watch
 
     def forget(self) -> None:
@@ -88,7 +89,8 @@ class LoadWatch:
         self._intervals, self._estimator = self._new_intervals(), self._new_estimator()
         self.estimate: PayloadEstimate | None = None
         self.doubt = Doubt()
-        self._doubted_mass = 0.0
+        self._doubted: PayloadEstimate | None = None
+        self._told_mass = 0.0
         self._judged: tuple[PayloadEstimate, float] | None = None
 
     def wait(self, stamp_ns: int, q: FloatArray, qd: FloatArray, effort: FloatArray) -> bool:
@@ -138,23 +140,34 @@ class LoadWatch:
         moment = np.abs(estimate.moment)
         if not self._contradicts(estimate, moment):
             is_close = (moment <= WITHDRAWN * estimate.moment_deviations).all() or not self._is_large(moment)
-            ends = estimate.is_observable and lower <= estimate.stated and is_close
+            ends = self._excludes_doubted(estimate) and lower <= estimate.stated and is_close
             return Doubt() if ends else before
         # The text stays the same while it is true, so that it does not change with each estimate.
-        is_true = not estimate.is_observable or lower <= self._doubted_mass <= upper
+        is_true = not estimate.is_observable or lower <= self._told_mass <= upper
         if is_true and before.reason is Reason.UNSTATED_LOAD:
             return before
         gain = self._gain(estimate)
         if gain <= 1.0 + MIN_SHARE and not self._is_heavier(estimate):  # the robot is lighter
-            return Doubt() if estimate.is_observable else before
+            return Doubt() if self._excludes_doubted(estimate) else before
         reason = Reason.UNSTATED_LOAD if gain > self._margin else Reason.HEAVIER_LOAD
         if is_true and reason is before.reason:
             return before
-        self._doubted_mass = estimate.mass
+        self._doubted, self._told_mass = estimate, estimate.mass
         text = f"the torques show a load of {_interval(estimate)}, not the stated {estimate.stated:.2f} kg"
         if not self._is_heavier(estimate):
             text = f"{text} at its centre of mass: the moment is {np.linalg.norm(moment):.3f} kg m off"
         return Doubt(reason, text)
+
+    def _excludes_doubted(self, estimate: PayloadEstimate) -> bool:
+        """Return whether an estimate rules out the load in doubt, which a poor one does not."""
+        doubted = self._doubted
+        if doubted is None or not estimate.is_observable:
+            return False
+        if self._is_heavier(doubted):
+            return doubted.mass - estimate.mass > WITHDRAWN * math.hypot(estimate.deviation, doubted.deviation)
+        changes = np.abs(estimate.moment - doubted.moment)
+        deviations = np.hypot(estimate.moment_deviations, doubted.moment_deviations)
+        return bool((changes > WITHDRAWN * deviations).any())
 
     def _gain(self, estimate: PayloadEstimate) -> float:
         """Return `mass_gain`, the last one while the estimate is the same within its deviations: it takes 9 ms."""

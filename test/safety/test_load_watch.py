@@ -193,14 +193,32 @@ def test_motion_that_shows_nothing_ends_no_doubt(joint: int) -> None:
     assert not {Reason.UNSTATED_LOAD, Reason.HEAVIER_LOAD} & last
 
 
+def test_interval_that_holds_both_loads_ends_no_doubt() -> None:
+    """Noise leaves an estimate of 0.8 kg within 0.9 kg: neither no load nor the one in doubt."""
+    watcher = monitor()
+    codes(watcher, motion(1.0))
+    for part in range(1, 3):
+        last = codes(watcher, after(motion(1.0, noise=80.0), part * SECONDS))
+        assert Reason.UNSTATED_LOAD in last
+        assert not {Reason.HEAVIER_LOAD, Reason.NONE} & last
+    estimate = watcher.load_watch.estimate
+    assert estimate is not None
+    assert estimate.is_observable
+    assert estimate.interval[0] == 0.0
+    for part in range(3, 6):
+        last = codes(watcher, after(motion(0.0), part * SECONDS))
+    assert not {Reason.UNSTATED_LOAD, Reason.HEAVIER_LOAD} & last
+
+
 @pytest.mark.parametrize(
     ("first_gain", "gain", "changes"),
     [
         (3.0, 1.05, {"mass": 1.0, "is_observable": False}),
         (1.05, 0.9, {"mass": 0.0, "is_observable": False}),
+        (1.05, 0.9, {"mass": 0.0, "deviation": 1.0}),
         (3.0, 0.9, {"mass": 0.0, "unfit": "the effort of elbow_joint is 0 while it moves"}),
     ],
-    ids=["less heavy", "lighter", "unfit"],
+    ids=["less heavy", "lighter", "lighter or not", "unfit"],
 )
 def test_estimate_that_tells_nothing_weakens_no_doubt(
     monkeypatch: pytest.MonkeyPatch, first_gain: float, gain: float, changes: dict[str, Any]
