@@ -7,8 +7,9 @@ doi:10.1177/027836498600500306). Per joint j, over an interval in which it moves
     tau_j = (1 + e_j) (rnea_j + Y_j delta) + f_c sign(qd_j) + f_v qd_j,
 
 with rnea by the robot file, the differences `delta` from it, Coulomb and viscous friction, and the relative error e_j
-of the torque constant, by Gauss-Newton steps. A joint at rest may hold by friction: it counts once per standstill, as
-accurately as the friction is known. Rows whose residual stands out, as at an impact, do not count.
+of the torque constant, by Gauss-Newton steps. A joint at rest may hold by friction: it counts once per standstill,
+within the friction of the prior, because motion one way does not tell friction from a load. Rows whose residual stands
+out, as at an impact, do not count.
 """
 
 from __future__ import annotations
@@ -295,7 +296,6 @@ class TorqueRegression:
             inflation = np.maximum(1.0, persistent / (np.maximum(sums.counts, 1.0) * noise))
             own = solution[p:].reshape(joints, _OWN)
             deviations = np.sqrt(np.diag(covariance))
-            friction = np.hypot(own[:, 0], deviations[p::_OWN])
             if iteration == _FREE_ITERATIONS - 1:
                 unfit, free = self._unfit(own[:, 2], deviations[p + 2 :: _OWN]), residual
                 rows, of_standstill = sums, noise + friction**2

@@ -73,6 +73,25 @@ def test_load_picked_up_is_found_within_seven_seconds(case: Case) -> None:
         assert found[-1].deviation < 0.05
 
 
+@pytest.mark.parametrize("friction", [-20.0, 20.0])
+def test_friction_of_motion_one_way_is_no_load(friction: float) -> None:
+    """The shoulder moves and stops every 2 s, and its friction [N m] keeps its sign: so would a load's torque."""
+    robot = robot_of(UR10)
+    t = np.arange(0.0, 10.0, 0.01)
+    rate, phase = 2.0 * np.pi / 1.5, np.minimum(t % 2.0, 1.5)
+    shoulder = np.eye(6)[1]
+    qd = np.outer(0.05 * (1.0 - np.cos(rate * phase)), shoulder)
+    qdd = np.outer(0.05 * rate * np.sin(rate * phase), shoulder)
+    q = np.array([0.0, -1.3, 1.0, -0.5, 0.7, 0.0]) + np.cumsum(qd, axis=0) * 0.01
+    data = robot.model.createData()
+    torque = np.array([pin.rnea(robot.model, data, *row) for row in zip(q, qd, qdd, strict=True)])
+    torque += friction * shoulder
+    torque += np.random.default_rng(0).normal(0.0, 0.005, torque.shape) * robot.effort_limits
+    found = estimates(robot, States(1_000_000_000 + np.round(1e9 * t).astype(np.int64), q, qd, torque))
+    assert len(found) > 4
+    assert max(abs(estimate.mass) / estimate.deviation for estimate in found) < 3.0
+
+
 def test_efforts_of_zero_do_not_fit() -> None:
     """As of simulated hardware, also where one joint alone moves."""
     robot = robot_of(UR10)
