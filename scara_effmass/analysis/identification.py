@@ -31,7 +31,7 @@ from scara_effmass.model.robot import Robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety.joint_state_adapter import JointStateAdapter
 from scara_effmass.settings import MassModel, MonitorSettings
-from scara_effmass.values import FloatArray, ValidatedImpact, at_least
+from scara_effmass.values import FloatArray, ValidatedImpact
 from scara_effmass.wire.cdr import NS
 
 CONFIGURATIONS = 200
@@ -81,10 +81,12 @@ class Identification(NamedTuple):
     def mass_uncertainties(self) -> tuple[float, float]:
         """What `mass_uncertainty` must be for the robot file in use, and for the corrected one.
 
-        They cover the upper bound of the effective mass in 95 % of the configurations and directions.
+        They cover the upper bound of the effective mass in 95 % of the configurations and directions, and are rounded
+        up to 0.001.
         """
-        of_file = self.ratios * (1.0 + self.half_intervals) - 1.0
-        return max(0.0, float(np.percentile(of_file, 95.0))), float(np.percentile(self.half_intervals, 95.0))
+        bounds = self.ratios * (1.0 + self.half_intervals) - 1.0, self.half_intervals
+        of_file, corrected = np.ceil(1e3 * np.percentile(bounds, 95.0, axis=1)) / 1e3
+        return max(0.0, float(of_file)), float(corrected)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the result for JSON."""
@@ -157,8 +159,9 @@ class Identification(NamedTuple):
         within = f"within {100 * half['median']:.1f} % (95 % of the workspace {100 * half['p95']:.1f} %)"
         yield "effective mass", f"{text}, {within}"
         of_file, corrected = self.mass_uncertainties
-        text = f"{at_least(of_file, 3)} for the robot file as it is, {at_least(corrected, 3)} for the corrected one"
-        yield "mass_uncertainty", text
+        text = f"{of_file:.3f} for the robot file as it is, {corrected:.3f} for the corrected one"
+        advice = "; above 1 it cannot be stated: record more motion of all joints"
+        yield "mass_uncertainty", text + advice * (max(of_file, corrected) > 1.0)
 
     def rows(self) -> Iterator[tuple[object, ...]]:
         """Yield what HEADINGS names, per joint."""

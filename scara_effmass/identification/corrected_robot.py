@@ -18,7 +18,7 @@ from scara_effmass.model.dh import DhFile
 from scara_effmass.model.load import loader_of
 from scara_effmass.model.urdf import load_urdf
 from scara_effmass.settings import MonitorSettings
-from scara_effmass.values import FloatArray, at_least
+from scara_effmass.values import FloatArray
 
 URDF_INERTIA = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
 DH_INERTIA = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
@@ -41,7 +41,7 @@ def corrected_robot(
     path = settings.robot_path
     name = recording.name.encode("ascii", "backslashreplace").decode()
     origin = f"{name} (SHA-256 {digest(recording, BagError)})"
-    source = f"identified by scara-effmass from {origin}, for mass_uncertainty {at_least(mass_uncertainty, 3)}"
+    source = f"identified by scara-effmass from {origin}, for mass_uncertainty {mass_uncertainty:.3f}"
     unloaded = settings.model_copy(update={"payload_mass": 0.0, "payload_inertia": (0.0,) * 6})
     loaded, bare = (link_parameters(estimate.robot.rebuild(case).model) for case in (settings, unloaded))
     load = loaded - bare
