@@ -45,7 +45,8 @@ def _used(settings: MonitorSettings) -> tuple[object, ...]:
 
 
 def _interval(estimate: PayloadEstimate) -> str:
-    return "{:.2f} kg ({:.2f} to {:.2f})".format(max(0.0, estimate.mass), *estimate.interval)
+    lower, upper = 100.0 * np.array(estimate.interval)
+    return f"{max(0.0, estimate.mass):.2f} kg ({np.floor(lower) / 100.0:.2f} to {np.ceil(upper) / 100.0:.2f})"
 
 
 class LoadWatch:
@@ -116,7 +117,8 @@ class LoadWatch:
         """The load by the torques, or why it is unknown."""
         estimate = self.estimate
         if self.why_not or estimate is None:
-            return f"unknown: {self.why_not or 'it needs joint states with effort, and about a second of motion'}"
+            needs = "it needs joint states with finite effort of all joints, and about a second of motion"
+            return f"unknown: {self.why_not or needs}"
         if estimate.unfit:
             return f"unknown: {estimate.unfit}: check torque_constants, masses and mounting of the robot file, payload"
         if not estimate.is_observable:

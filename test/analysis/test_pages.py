@@ -139,7 +139,7 @@ def test_reason_is_translated_with_its_words() -> None:
                 "the torques are those of a load of -2.00 kg",
             )
         ),
-        f"{LOAD_ENTRY}: unknown: it needs joint states with effort, and about a second of motion",
+        f"{LOAD_ENTRY}: unknown: it needs joint states with finite effort of all joints, and about a second of motion",
         f"{LOAD_ENTRY}: unknown: it needs velocities as reported",
         f"{LOAD_ENTRY}: unknown: effort_uncertainty is 0",
         f"{LOAD_ENTRY}: unknown: it needs the full mass",

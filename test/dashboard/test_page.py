@@ -160,7 +160,7 @@ def test_the_page_shows_what_holds_and_never_an_old_ok(monitor: NodeHarness, bro
         expect(page.get_by_role("columnheader", name="effective mass, full")).to_be_visible()
         expect(page.get_by_role("rowheader", name="monitor model")).to_be_visible(timeout=WAIT_MS)
         load = page.get_by_role("region", name="Load by the torques, last 60 s")
-        expect(load).to_contain_text("unknown: it needs joint states with effort", timeout=WAIT_MS)
+        expect(load).to_contain_text("unknown: it needs joint states with finite effort of all joints", timeout=WAIT_MS)
         assert page.locator("canvas").bounding_box()
         page.wait_for_function(FETCHED_HULLS, arg=4, timeout=WAIT_MS)
         hull, missing = (page.request.get(f"http://127.0.0.1:{port}/hulls/{number}.stl") for number in (0, 4))

@@ -253,7 +253,17 @@ def test_no_load_and_no_effort_raise_no_doubt() -> None:
     without = motion(2.0)._replace(effort=np.empty((len(motion(2.0).stamps), 0)))
     watcher = monitor()
     assert Reason.UNSTATED_LOAD not in codes(watcher, without)
-    assert watcher.load_watch.text.startswith("unknown: it needs joint states with effort")
+    assert watcher.load_watch.text.startswith("unknown: it needs joint states with finite effort of all joints")
+
+
+def test_interval_is_rounded_outwards() -> None:
+    watcher = monitor()
+    codes(watcher, motion(2.0, noise=4.0))
+    estimate, found = watcher.load_watch.estimate, re.search(r"\((.*) to (.*)\)", watcher.load_watch.text)
+    assert estimate is not None
+    assert found
+    assert float(found[1]) <= estimate.interval[0]
+    assert estimate.interval[1] <= float(found[2])
 
 
 def test_assumed_payload_says_what_the_torques_show() -> None:
