@@ -142,8 +142,8 @@ class LoadWatch:
         moment = np.abs(estimate.moment)
         if not self._contradicts(estimate, moment):
             is_close = (moment <= WITHDRAWN * estimate.moment_deviations).all() or not self._is_large(moment)
-            ends = self._excludes_doubted(estimate) and lower <= estimate.stated and is_close
-            return Doubt() if ends else before
+            is_stated = lower <= estimate.stated + self._smallest and is_close
+            return Doubt() if is_stated and self._excludes_doubted(estimate) else before
         # The text stays the same while it is true, so that it does not change with each estimate.
         is_true = not estimate.is_observable or lower <= self._told_mass <= upper
         if is_true and before.reason is Reason.UNSTATED_LOAD:
@@ -182,13 +182,16 @@ class LoadWatch:
         self._judged = estimate, gain
         return gain
 
+    @property
+    def _smallest(self) -> float:
+        """Smallest mass [kg] that counts."""
+        return MIN_SHARE * self._dynamics.robot.moving_mass
+
     def _is_heavier(self, estimate: PayloadEstimate) -> bool:
-        smallest = MIN_SHARE * self._dynamics.robot.moving_mass
-        return estimate.mass - estimate.stated > max(ALARM * estimate.deviation, smallest)
+        return estimate.mass - estimate.stated > max(ALARM * estimate.deviation, self._smallest)
 
     def _is_large(self, moment: FloatArray) -> bool:
-        robot = self._dynamics.robot
-        return float(np.linalg.norm(moment)) > MIN_SHARE * robot.moving_mass * LEVER * robot.reach
+        return float(np.linalg.norm(moment)) > self._smallest * LEVER * self._dynamics.robot.reach
 
     def _contradicts(self, estimate: PayloadEstimate, moment: FloatArray) -> bool:
         """Return whether mass or `moment` (3,) [kg m], without signs, contradict the stated load."""

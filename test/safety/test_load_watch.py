@@ -236,6 +236,21 @@ def test_estimate_that_tells_nothing_weakens_no_doubt(
     assert watcher.load_watch.doubt.reason is (Reason.UNSTATED_LOAD if first_gain > 1.1 else Reason.HEAVIER_LOAD)
 
 
+@pytest.mark.parametrize(("mass", "expected"), [(0.25, Reason.NONE), (0.5, Reason.UNSTATED_LOAD)])
+def test_difference_that_raises_no_doubt_keeps_none(
+    monkeypatch: pytest.MonkeyPatch, mass: float, expected: Reason
+) -> None:
+    """It is below 1 % of the mass of the arm, 0.3 kg, although the interval does not hold the stated load."""
+    nothing = np.zeros((6, 2))
+    first = PayloadEstimate(1, 2.0, 0.05, 0.0, np.zeros(3), np.full(3, 0.001), True, "", "", nothing, nothing[:, 0])  # noqa: FBT003
+    found = iter([first, first._replace(mass=mass)])
+    monkeypatch.setattr(PayloadEstimator, "add", lambda *_: next(found, None))
+    monkeypatch.setattr(load_watch, "mass_gain", lambda *_: 3.0)
+    watcher = monitor()
+    codes(watcher, motion(0.0))
+    assert watcher.load_watch.doubt.reason is expected
+
+
 def test_stated_mass_at_another_place_is_told() -> None:
     """The load of 2 kg is 5 cm beyond the flange, as stated, or was said to be 5 cm before it."""
     for place, expected in ((0.05, Reason.NONE), (-0.05, Reason.UNSTATED_LOAD)):
