@@ -12,7 +12,7 @@ import numpy as np
 
 from scara_effmass.codes import Reason
 from scara_effmass.identification.payload import PayloadEstimate, PayloadEstimator, mass_gain
-from scara_effmass.identification.regression import LEVER
+from scara_effmass.identification.regression import LEVER, link_parameters
 from scara_effmass.kernel.intervals import Intervals
 from scara_effmass.kernel.records import IntArray
 from scara_effmass.reference import RobotDynamics
@@ -77,11 +77,14 @@ class LoadWatch:
         self.forget()
 
     def of(self, dynamics: RobotDynamics, settings: MonitorSettings) -> LoadWatch:
-        """Return the watch with these: this one, or a new one, which keeps the doubt if robot and load are the same."""
+        """Return the watch with these: this one, or a new one, which keeps the doubt unless another load is stated."""
         if dynamics is self._dynamics and _used(settings) == self._settings:
             return self
         watch = LoadWatch(dynamics, settings)
-        if dynamics is self._dynamics:
+        before, after = (link_parameters(one.robot.model)[:, :4].sum(axis=0) for one in (self._dynamics, dynamics))
+        # In shares of what counts: less is the same load.
+        mass, *moment = (after - before) / MIN_SHARE
+        if abs(mass) <= self._smallest and not self._is_large(np.array(moment)):
             watch.doubt, watch._doubted = self.doubt, self._doubted
         return watch
 

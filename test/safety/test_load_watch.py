@@ -149,6 +149,8 @@ def after(states: Motion, seconds: float) -> Motion:
         ({"timeout": 0.3}, Reason.UNSTATED_LOAD, Reason.UNSTATED_LOAD),
         ({"velocity_window": 0.03}, Reason.UNSTATED_LOAD, Reason.UNSTATED_LOAD),
         ({"mass_uncertainty": 0.9}, Reason.UNSTATED_LOAD, Reason.HEAVIER_LOAD),
+        ({"payload_mass": 0.001}, Reason.UNSTATED_LOAD, Reason.UNSTATED_LOAD),
+        ({"payload_mass": 0.0, "payload_com": (0.0, 0.0, 0.1)}, Reason.UNSTATED_LOAD, Reason.UNSTATED_LOAD),
         ({"payload_mass": 2.0, "payload_com": (0.05, 0.0, 0.0)}, Reason.NONE, Reason.NONE),
     ],
     ids=lambda value: "" if isinstance(value, Reason) else str(value),
