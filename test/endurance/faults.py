@@ -1202,7 +1202,8 @@ def test_network(name: str, tmp_path: Path) -> None:  # noqa: PLR0915
                     lines.extend((float(line.split()[0]), "m/s" in line) for line in complete)
 
         def is_moving() -> bool:
-            return bool(lines) and lines[-1][1] and lines[-1][0] < time.time() - 0.5
+            stopped_s = max((at_s for at_s, moves in lines if not moves), default=0.0)
+            return bool(lines) and lines[-1][1] and stopped_s < time.time() - 0.5
 
         until(is_moving)
         begin_s = time.time()
