@@ -30,6 +30,8 @@ def set_acceleration(k: int, heaviest: float, approach: Approach, setup: Setup, 
         return
     assign(out.shown, approach.shown)
     assign(out.opposed, approach.held)
+    # Beside a stated limit that is smaller, the point may speed up by it: it could brake.
+    out.error = max(out.error, setup.max_acceleration - max(0.0, dot(approach.direction, approach.shown)))
     if k != Model.ISO and setup.max_acceleration == 0.0:
         out.error_root = 0.0
         for j in range(setup.joints):

@@ -77,18 +77,6 @@ def in_base(joint: int, array: FloatArray, rotations: FloatArray) -> Vector3:
 
 
 @inlined
-def with_stated(error: float, shown: Vector3, n: Vector3, setup: Setup) -> tuple[float, bool]:
-    """Return the error of the acceleration `shown` [m/s2] with the stated limit, and whether that counts in its place.
-
-    Beside a smaller limit, a point that moves along `n` may speed up by it.
-    """
-    limit = setup.max_acceleration
-    if limit >= norm(shown) + error:
-        return limit, True
-    return max(error, limit * norm(n) - max(0.0, dot(n, shown))), False
-
-
-@inlined
 def approach_of(point: Point, vertex: int, motion: FloatArray, age: float, setup: Setup, work: Work) -> Approach:
     """Write the rows of J_v^T and dJ_v^T/dt; return the motion of the contact point.
 
@@ -127,7 +115,9 @@ def approach_of(point: Point, vertex: int, motion: FloatArray, age: float, setup
     held = fill_jacobian_rate(joint, place, velocity, setup, work)
     total = add(shown, held)
     rate = (max(0.0, dot(n, total)) if is_moving else norm(total)) + error
-    error, is_limited = with_stated(error, shown, n, setup)
+    is_limited = setup.max_acceleration >= norm(shown) + error
+    if is_limited:
+        error = setup.max_acceleration
     return Approach(
         joint + 1,
         point.rank,

@@ -170,13 +170,20 @@ class ContactAssessor:
         time = max(0.0, self.joint_acceleration.age) + self.settings.reaction_time  # a stamp may lead the clock
         self.speed_tolerance += time * self._speed_rate
 
+    @cached_property
+    def _accelerations(self) -> tuple[FloatArray, FloatArray, float]:
+        """Accelerations (3,) by J_v qdd and by dJ_v/dt qd, and a bound of the error of the former [m/s2]."""
+        qdd, errors, *_ = self.joint_acceleration
+        error = self.contact.speed_tolerance(errors.tolist())
+        return self.contact.jacobian @ qdd, self.contact.jacobian_rate @ self.state.qd, error
+
     @property
     def _speed_rate(self) -> float:
         """The largest d/dt of the speed [m/s2] that the joint states show or the settings state."""
-        qdd, errors, *_ = self.joint_acceleration
-        total = self.contact.jacobian @ qdd + self.contact.jacobian_rate @ self.state.qd
-        shown = float(np.linalg.norm(total)) if self.direction is None else max(0.0, float(self.direction @ total))
-        return max(shown + self.contact.speed_tolerance(errors.tolist()), self.settings.max_acceleration)
+        shown, held, error = self._accelerations
+        total = shown + held
+        rate = float(np.linalg.norm(total)) if self.direction is None else max(0.0, float(self.direction @ total))
+        return max(rate + error, self.settings.max_acceleration)
 
     def _acceleration(self, code: ModelCode) -> Acceleration:
         """Return the acceleration that the contact goes on with, in the mass model `code`.
@@ -184,17 +191,15 @@ class ContactAssessor:
         A stated limit that is larger than what the joint states show counts in its place, in any direction. Beside one
         that is smaller, the arm may speed up as fast as the limit: it could brake.
         """
-        qdd, errors, *_ = self.joint_acceleration
-        shown, held = self.contact.jacobian @ qdd, self.contact.jacobian_rate @ self.state.qd
-        error, size = self.contact.speed_tolerance(errors.tolist()), float(np.linalg.norm(shown))
-        limit, none = self.settings.max_acceleration, np.zeros(3)
+        shown, held, error = self._accelerations
+        limit, size, none = self.settings.max_acceleration, float(np.linalg.norm(shown)), np.zeros(3)
         if limit >= size + error:
             return Acceleration(none, none, limit, math.inf)
         if self.direction is None or (code is ModelCode.ISO and self._fixed_normal is not None):
             return Acceleration(none, none, size + error, math.inf)
         error, root = max(error, limit - max(0.0, float(self.direction @ shown))), math.inf
         if code in self.state.mass_matrix and not limit:
-            root = float(np.sqrt(np.diagonal(self.state.mass_matrix[code])) @ errors)
+            root = float(np.sqrt(np.diagonal(self.state.mass_matrix[code])) @ self.joint_acceleration.errors)
         return Acceleration(shown, held, error, root)
 
     def result(self) -> ContactResult:

@@ -17,7 +17,7 @@ from scara_effmass.kernel.intervals import Intervals
 from scara_effmass.kernel.records import IntArray
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import MonitorSettings
-from scara_effmass.values import FloatArray
+from scara_effmass.values import FloatArray, at_least, at_most
 
 ALARM = 5.0
 """Standard deviations by which mass or moment of the load must differ from the stated one to contradict it."""
@@ -45,8 +45,8 @@ def _used(settings: MonitorSettings) -> tuple[object, ...]:
 
 
 def _interval(estimate: PayloadEstimate) -> str:
-    lower, upper = 100.0 * np.array(estimate.interval)
-    return f"{max(0.0, estimate.mass):.2f} kg ({np.floor(lower) / 100.0:.2f} to {np.ceil(upper) / 100.0:.2f})"
+    lower, upper = estimate.interval
+    return f"{max(0.0, estimate.mass):.2f} kg ({at_most(lower, 2)} to {at_least(upper, 2)})"
 
 
 class LoadWatch:

@@ -1003,6 +1003,20 @@ def test_robot_that_brakes_can_still_accelerate_as_stated(
     assert allowable_speed(9.0, 2.0) == allowable_speed(9.0, 0.0)
 
 
+@pytest.mark.parametrize("contact_normal", ["worst", "velocity", "0.6 -0.8 0"])
+@pytest.mark.parametrize("model", ["iso", "full", "lumped"])
+def test_kernel_counts_the_stated_acceleration_of_a_robot_that_brakes_as_the_reference(
+    scara: RobotDynamics, model: str, contact_normal: str
+) -> None:
+    settings = settings_of(max_acceleration=2.0, effective_mass_model=model, contact_normal=contact_normal)
+    q, qd = np.array([[0.3, 1.2, 0.1, 0.2]]), np.array([[0.4, 0.5, 0.1, 0.1]])
+    kernel, reference = (
+        Monitor(scara, settings, use_reference=use).assess_configurations(q, qd, -9.0 * qd).contacts["allowable_speed"]
+        for use in (False, True)
+    )
+    assert kernel == pytest.approx(reference, rel=1e-9)
+
+
 @pytest.mark.parametrize("use_reference", [False, True])
 def test_point_at_rest_gets_faster_by_joints_that_move(*, use_reference: bool) -> None:
     settings = MonitorSettings(robot=str(share("config", "robots", "ur5_robot.urdf")), contact_points=("ee_link",))
