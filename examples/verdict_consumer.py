@@ -12,6 +12,7 @@ import argparse
 import sys
 import time
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack, suppress
 
 import rclpy
 from rclpy.duration import Duration
@@ -95,18 +96,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     def show(speed: float, reason: str) -> None:
         print(f"{time.time():.4f} {f'STOP: {reason}' if reason else f'{speed:.3f} m/s'}", flush=True)  # noqa: T201
 
-    rclpy.init(args=[*arguments])
-    node = VerdictConsumer(timeout_s, show)
-    executor = EventsExecutor()
-    executor.add_node(node)
-    try:
+    # A signal may come while the node starts, too.
+    with ExitStack() as stack, suppress(KeyboardInterrupt, ExternalShutdownException):
+        rclpy.init(args=[*arguments])
+        stack.callback(rclpy.try_shutdown)
+        node = VerdictConsumer(timeout_s, show)
+        stack.callback(node.destroy_node)
+        executor = EventsExecutor()
+        stack.callback(executor.shutdown)
+        executor.add_node(node)
         executor.spin_until_future_complete(Future(), timeout_sec=1e9)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    finally:
-        executor.shutdown()
-        node.destroy_node()
-        rclpy.try_shutdown()
 
 
 if __name__ == "__main__":
