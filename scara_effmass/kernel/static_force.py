@@ -11,8 +11,8 @@ from scara_effmass.kernel.compiled import inlined
 from scara_effmass.kernel.contact_point import Approach
 from scara_effmass.kernel.pose_change import mass_matrix
 from scara_effmass.kernel.records import Case, Mobility, Setup, Work
-from scara_effmass.kernel.spatial import dot, norm, scale, symmetric_product, vector, vector_at
-from scara_effmass.reference.pose_state import MIN_LEVER_M
+from scara_effmass.kernel.spatial import add, cross, dot, norm, scale, symmetric_product, vector, vector_at
+from scara_effmass.reference.pose_state import EFFORT_ROUNDING, MIN_LEVER_M, SINGULAR_ROUNDING
 from scara_effmass.values import Vector3
 
 
@@ -31,33 +31,78 @@ def static_force(n: Vector3, count: int, setup: Setup, work: Work) -> float:
 
 
 @inlined
-def push_count(approach: Approach, setup: Setup) -> int:
-    """Return the number of directions in which the arm may push."""
-    if setup.normal == Normal.FIXED:
-        return 2
-    return 1 if approach.is_moving else 6
+def push_count(setup: Setup) -> int:
+    """Return the number of directions of a push whose direction is known."""
+    return 2 if setup.normal == Normal.FIXED else 1
 
 
 @inlined
 def push_direction(i: int, approach: Approach, setup: Setup) -> Vector3:
-    """Return one of them: both ways along a fixed normal, the velocity, or at rest each axis both ways."""
-    sign, axis = 1.0 if i % 2 == 0 else -1.0, i // 2
-    if setup.normal == Normal.FIXED:
-        return scale(sign, approach.normal)
-    if approach.is_moving:
-        return approach.direction
-    return sign * (axis == 0), sign * (axis == 1), sign * (axis == 2)
+    """Return one of them: both ways along a fixed normal, else the velocity."""
+    return scale(1.0 - 2.0 * i, approach.normal) if setup.normal == Normal.FIXED else approach.direction
+
+
+@inlined
+def is_held(force: Vector3, count: int, setup: Setup, work: Work) -> bool:
+    """Whether no joint exceeds its effort limit."""
+    for j in range(count):
+        effort = dot(force, vector_at(work.jacobian, j)) + work.gravity[j]
+        if abs(effort) > (1.0 + EFFORT_ROUNDING) * setup.effort[j]:
+            return False
+    return True
+
+
+@inlined
+def vertex_force(i: int, j: int, k: int, count: int, setup: Setup, work: Work) -> float:
+    """Return the largest force [N] with which three joints reach their limits and none exceeds its own, 0 if none does.
+
+    Without a third joint, `k` < 0, it is in the plane of two.
+    """
+    a, b, largest = vector_at(work.jacobian, i), vector_at(work.jacobian, j), 0.0
+    ab = cross(a, b)
+    c = ab if k < 0 else vector_at(work.jacobian, k)
+    volume = dot(ab, c)
+    if not abs(volume) > SINGULAR_ROUNDING * norm(a) * norm(b) * norm(c):
+        return 0.0
+    for signs in range(4 if k < 0 else 8):
+        x = (1 - 2 * (signs & 1)) * setup.effort[i] - work.gravity[i]
+        y = (1 - (signs & 2)) * setup.effort[j] - work.gravity[j]
+        z = 0.0 if k < 0 else (1 - (signs & 4) // 2) * setup.effort[k] - work.gravity[k]
+        sides = add(scale(x, cross(b, c)), add(scale(y, cross(c, a)), scale(z, ab)))
+        force = scale(1.0 / volume, sides)
+        if is_held(force, count, setup, work):
+            largest = max(largest, norm(force))
+    return largest
+
+
+@inlined
+def largest_clamping_force(count: int, setup: Setup, work: Work) -> float:
+    """Return the largest static force [N] along any direction in which the joints move the point, 0 if they do not."""
+    largest = 0.0
+    for i in range(count):
+        lever = vector_at(work.jacobian, i)
+        if norm(lever) > MIN_LEVER_M:
+            n = scale(1.0 / norm(lever), lever)
+            there, back = static_force(n, count, setup, work), static_force(scale(-1.0, n), count, setup, work)
+            largest = max(largest, there, back, math.inf if setup.effort[i] == math.inf else 0.0)
+            for j in range(i):
+                for k in range(-1, j):
+                    largest = max(largest, vertex_force(i, j, k, count, setup, work))
+    return largest
 
 
 @inlined
 def clamping_force(approach: Approach, setup: Setup, work: Work) -> float:
     """Return the largest static force [N] in the directions of a push; infinite if unknown."""
     force = 0.0
+    if setup.normal != Normal.FIXED and not approach.is_moving:
+        force = largest_clamping_force(approach.joints, setup, work)
+    else:
+        for i in range(push_count(setup)):
+            force = max(force, static_force(push_direction(i, approach, setup), approach.joints, setup, work))
     for j in range(setup.joints):
         if abs(work.gravity[j]) > setup.effort[j]:
             force = math.inf
-    for i in range(push_count(approach, setup)):
-        force = max(force, static_force(push_direction(i, approach, setup), approach.joints, setup, work))
     return min(force, setup.external_force)
 
 
@@ -87,7 +132,7 @@ def holding_force(
     force, alpha = math.inf, math.inf
     if setup.counts_person or (setup.normal != Normal.FIXED and not approach.is_moving):
         return least_holding_force(approach.joints, setup, work)
-    for i in range(push_count(approach, setup)):
+    for i in range(push_count(setup)):
         force = smaller_force(force, push_direction(i, approach, setup), approach.joints, setup, work)
     if setup.normal == Normal.FIXED:
         return force

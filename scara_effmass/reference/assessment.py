@@ -224,7 +224,8 @@ class ContactAssessor:
         if self.settings.fixed_test_direction is not None:
             result.test_direction, result.test_effective_mass = self._along_test_direction()
         if self.settings.contact is ContactType.QUASI_STATIC:
-            force = contact.clamping_force(self._directions())
+            directions = self._directions()
+            force = contact.clamping_force(directions) if directions else contact.largest_clamping_force()
             result.clamping_force = min(force, self.settings.external_force_limit or math.inf)
             if result.clamping_force == math.inf and self.settings.drives is not Drives.SERVO:
                 result.reason = result.reason or Reason.NO_CLAMPING_FORCE
@@ -323,10 +324,10 @@ class ContactAssessor:
         return max(abs(float(self._fixed_normal @ self.direction)), MIN_NORMAL_COMPONENT)
 
     def _directions(self) -> list[FloatArray]:
-        """Return a fixed normal and its opposite, else the direction of the velocity, at rest those of all axes."""
+        """Return a fixed normal and its opposite, else the direction of the velocity; at rest none is known."""
         if self._fixed_normal is not None:
             return [self._fixed_normal, -self._fixed_normal]
-        return [*np.eye(3), *-np.eye(3)] if self.direction is None else [self.direction]
+        return [] if self.direction is None else [self.direction]
 
     # -- speed -----------------------------------------------------------------------------------------------------
 

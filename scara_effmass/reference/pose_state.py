@@ -14,6 +14,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
+from itertools import combinations, product
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -34,6 +35,9 @@ X_AXIS: FloatArray = np.eye(3)[0]
 NO_VERTICES: FloatArray = np.empty((0, 3))
 SINGULAR_ROUNDING = 1e-6
 """Ratio of a singular value of J_v to its Frobenius norm, up to which it counts as 0."""
+
+EFFORT_ROUNDING = 1e-9
+"""Ratio by which a joint may exceed its effort limit where rounding makes it so."""
 
 
 class ContactPoint(NamedTuple):
@@ -282,6 +286,28 @@ class ContactState:
         if not self._carries_weight:
             return math.inf
         return max([0.0, *self.static_forces(directions)])
+
+    def largest_clamping_force(self) -> float:
+        """Return the largest static force [N] along any direction in which the joints move the point, 0 if they do not.
+
+        It is at a vertex of their force polytope |J_v^T f + g(q)| <= tau_max, which is convex (Chiacchio,
+        Bouffard-Vercelli and Pierrot 1997): there one to three joints reach their limits. Infinite if a joint that
+        moves the point has no limit, or if a limit is below the gravity effort of its joint.
+        """
+        loaded = np.linalg.norm(self.jacobian, axis=0) > MIN_LEVER_M
+        levers, gravity = self.jacobian.T[loaded], self.state.gravity[loaded]
+        limits = self.state.dynamics.robot.effort_limits[loaded]
+        if not self._carries_weight or not np.isfinite(limits).all():
+            return math.inf
+        largest, most = 0.0, (1.0 + EFFORT_ROUNDING) * limits
+        for count in (1, 2, 3):
+            for joints in map(list, combinations(range(len(limits)), count)):
+                inverse = np.linalg.pinv(levers[joints], SINGULAR_ROUNDING)
+                for signs in product((1.0, -1.0), repeat=count):
+                    force = inverse @ (signs * limits[joints] - gravity[joints])
+                    if (np.abs(levers @ force + gravity) <= most).all():
+                        largest = max(largest, float(np.linalg.norm(force)))
+        return largest
 
     @property
     def least_holding_force(self) -> float:

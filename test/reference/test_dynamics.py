@@ -566,6 +566,15 @@ class TestEffortLimits:
         assert contact.clamping_force([np.array([0.0, 0.0, 1.0])]) == 0.0
         assert contact.holding_force([np.array([0.0, 0.0, 1.0])]) == math.inf
 
+    def test_largest_clamping_force_loads_joints_to_their_limits(self, dynamics: RobotDynamics) -> None:
+        """No direction in which the point moves gives more. In others, a wedge, no force is the largest."""
+        for q in dynamics.robot.sample_configurations()[:8]:
+            for contact in dynamics.at(q).contacts:
+                moved = (contact.jacobian @ np.linalg.pinv(contact.jacobian) @ unit_vectors(2000).T).T
+                forces = [contact.clamping_force([n / np.linalg.norm(n)]) for n in moved]
+                largest = contact.largest_clamping_force()
+                assert 0.9 * largest < max(forces) <= largest * (1.0 + 1e-9)
+
     def test_drive_acceleration_is_that_of_the_model_that_gives_more(self, dynamics: RobotDynamics) -> None:
         assert dynamics.lumped is not None
         model = dynamics.robot.model
@@ -591,3 +600,4 @@ class TestEffortLimits:
         (contact,) = omron_dynamics.at(np.array([0.3, 1.1, 0.1, 0.2])).contacts
         assert contact.drive_acceleration() == math.inf
         assert contact.clamping_force([np.eye(3)[0]]) == math.inf
+        assert contact.largest_clamping_force() == math.inf

@@ -784,14 +784,24 @@ def test_mass_of_the_standard_on_a_servo_is_that_mass_alone(scara_variant: Varia
         assert contact.allowable_speed == pytest.approx(expected)
 
 
-def test_robot_at_rest_clamps_along_its_strongest_axis(scara_variant: Variant) -> None:
-    efforts = {"joint1": 5.0, "joint2": 5.0, "joint3": 500.0, "joint4": 5.0}
-    robot = scara_variant(lambda file: [joint.update(max_effort=efforts[joint["name"]]) for joint in file["joints"]])
-    q = (0.3, 1.2, 0.1, 0.0)
-    contact = assess_one(robot, q, (1e-6,) * 4, contact="quasi_static", drives="free")
-    assert contact.worst_direction_used
-    vertical = [contact_at(robot, q).clamping_force([np.array((0.0, 0.0, sign))]) for sign in (1.0, -1.0)]
-    assert contact.clamping_force == pytest.approx(max(vertical))
+@pytest.mark.parametrize("efforts", [(40.0, 30.0, 500.0, 5.0), (5.0, 5.0, 500.0, 5.0), (5.0, 50.0, 90.0, 0.1)])
+@pytest.mark.parametrize("point", ["tool", "rim", "forearm", "elbow"])
+def test_robot_at_rest_clamps_in_any_direction(scara_variant: Variant, efforts: tuple[float, ...], point: str) -> None:
+    """Base axes are no directions of their own: turned arms were OK along them and violated a limit between them."""
+
+    def change(file: dict[str, Any]) -> None:
+        at = [0.275, 0.0, 0.0]
+        file["contact_points"].update(rim=[0.05, 0.0, 0.0], forearm={"link": 2, "at": at}, elbow={"link": 1, "at": at})
+        for joint, effort in zip(file["joints"], efforts, strict=True):
+            joint["max_effort"] = effort
+
+    robot = scara_variant(change)
+    index, settings = robot.contact_points.index(point), settings_of(contact="quasi_static", drives="free")
+    for q in [(0.3, 1.2, 0.1, 0.0), (0.3, 0.0, 0.1, 0.5), (-1.0, -0.7, 0.2, 2.0)]:
+        contact = first_assessment(robot, q, (1e-6,) * 4, settings)[index]
+        assert contact.worst_direction_used
+        reference = robot.at(np.array(q)).contacts[index]
+        assert contact.clamping_force == pytest.approx(reference.largest_clamping_force(), rel=1e-12)
 
 
 @pytest.mark.parametrize("normal", [(0.0, 0.0, 1.0), (0.0, 0.0, -1.0), (0.6, 0.8, 0.0), (0.6, -0.8, 0.0)])
