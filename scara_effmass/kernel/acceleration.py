@@ -25,7 +25,7 @@ def set_acceleration(k: int, heaviest: float, approach: Approach, setup: Setup, 
     assign(out.opposed, ZERO_VECTOR)
     if approach.is_limited:
         return
-    if not approach.is_moving or (k == Model.ISO and setup.normal == Normal.FIXED):
+    if not approach.is_moving:
         out.error += norm(approach.shown)
         return
     assign(out.shown, approach.shown)

@@ -39,7 +39,7 @@ from scara_effmass.kernel.mobility import (
 )
 from scara_effmass.kernel.model_choice import Choice, choose_models, largest_along, mass_along, worst_mass
 from scara_effmass.kernel.person import Person, person_of, set_principal, set_single
-from scara_effmass.kernel.pose_change import assign, assign_symmetric, turn_change
+from scara_effmass.kernel.pose_change import assign, assign_symmetric, set_change, turn_change
 from scara_effmass.kernel.records import (
     CASE,
     CONTACT,
@@ -57,7 +57,7 @@ from scara_effmass.kernel.records import (
     Setup,
     Work,
 )
-from scara_effmass.kernel.spatial import dot, matrix_at, rotate_back, sub, vector, vector_at
+from scara_effmass.kernel.spatial import NO_MATRIX, dot, matrix_at, rotate_back, sub, vector, vector_at
 from scara_effmass.kernel.speed_limit import (
     Bound,
     Drives,
@@ -84,8 +84,8 @@ turn_until_peak = inlined(spring.turn_until_peak)
 
 @inlined
 def set_normal(out: Mobility, m: Mobility6, mass: float, worst: float, approach: Approach, setup: Setup) -> None:
-    """Write the mobility of one model for the contact normal of the settings, after its change of pose."""
-    out.is_scalar = setup.normal != Normal.WORST or not approach.is_moving or approach.rank == 1
+    """Write the mobility of one model for the contact normal of the settings, after its rank and change of pose."""
+    out.is_scalar = setup.normal != Normal.WORST or not approach.is_moving or out.rank == 1
     if out.is_scalar:
         set_normal_acceleration(approach, setup, out)
     if setup.normal == Normal.FIXED:
@@ -94,7 +94,7 @@ def set_normal(out: Mobility, m: Mobility6, mass: float, worst: float, approach:
             turn_change(out, approach.normal, approach.share * out.speed, either_way)
         set_scalar(out, along(m, approach.normal))
     elif setup.normal == Normal.WORST and approach.is_moving:
-        set_scalars(out, m, approach.direction, approach.rank)
+        set_scalars(out, m, approach.direction, out.rank)
     else:
         set_scalar(out, 1.0 / (mass if setup.normal == Normal.VELOCITY else worst))
 
@@ -135,25 +135,24 @@ def fill_mobilities(choice: Choice, approach: Approach, point: Point, setup: Set
         if not choice.takes[k]:
             continue
         any_normal, out = work.any_normal[models], work.mobilities[models]
-        any_normal.change_rank, out.change_rank, out.rank = 0, 0, approach.rank
+        any_normal.change_rank, out.change_rank, out.rank = 0, 0, 3 if k == Model.ISO else approach.rank
         models += 1
         kind = HULL_MASS if k == Model.ISO else HULL_KNOWN
         set_hull(any_normal, kind, k, approach, point, work)
         set_hull(out, kind, k, approach, point, work)
-        if k == Model.ISO:
-            set_scalar(any_normal, 1.0 / setup.iso_mass)
-            set_scalar(out, 1.0 / setup.iso_mass)
-            set_acceleration(k, setup.iso_mass, approach, setup, work, out)
-            set_normal_acceleration(approach, setup, out)
-            continue
-        m = choice.full if k == Model.FULL else choice.lumped
-        worst = worst_mass_at_rest(k, work.worst[k], approach, point, setup, work, out)
+        m, worst = choice.full if k == Model.FULL else choice.lumped, work.worst[k]
+        if k == Model.ISO:  # the same in every direction and pose
+            m = 1.0 / worst, 0.0, 0.0, 1.0 / worst, 0.0, 1.0 / worst
+            if changes:
+                set_change(out, m, approach.direction, approach.speed, NO_MATRIX, held, held)
+        else:
+            worst = worst_mass_at_rest(k, worst, approach, point, setup, work, out)
+            if changes:
+                fill_change(k, m, approach, held, setup, work, out)
         if approach.is_moving:
-            set_scalars(any_normal, m, approach.direction, approach.rank)
+            set_scalars(any_normal, m, approach.direction, out.rank)
         else:
             set_scalar(any_normal, 1.0 / worst)
-        if changes:
-            fill_change(k, m, approach, held, setup, work, out)
         set_acceleration(k, work.worst[k], approach, setup, work, out)
         set_normal(out, m, work.masses[k], worst, approach, setup)
     count = models

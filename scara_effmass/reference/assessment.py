@@ -195,7 +195,7 @@ class ContactAssessor:
         limit, size, none = self.settings.max_acceleration, float(np.linalg.norm(shown)), np.zeros(3)
         if limit >= size + error:
             return Acceleration(none, none, limit, math.inf)
-        if self.direction is None or (code is ModelCode.ISO and self._fixed_normal is not None):
+        if self.direction is None:
             return Acceleration(none, none, size + error, math.inf)
         error, root = max(error, limit - max(0.0, float(self.direction @ shown))), math.inf
         if code in self.state.mass_matrix and not limit:
@@ -287,11 +287,8 @@ class ContactAssessor:
                 return Reason.TOO_LIGHT, (code, mass)
             if math.isnan(worst) and self.settings.contact_normal != "velocity":
                 return Reason.NO_WORST_MASS, (code,)
-            is_iso = code is ModelCode.ISO
-            direction = X_AXIS if self.direction is None else self.direction
-            if is_iso:
-                mobility = Mobility.of_any_direction(mass, direction)
-                mobility = replace(mobility, hull=None if self.direction is None else self.contact.hull(None))
+            if code is ModelCode.ISO:
+                mobility = self.contact.uniform_mobility(mass, self.direction)
             else:
                 mobility = self.contact.mobility(code, self.direction)
             mobility = replace(mobility, acceleration=self._acceleration(code))
@@ -354,7 +351,7 @@ class ContactAssessor:
             min_speed, either_way = self._share * self.contact.speed, self._share == MIN_NORMAL_COMPONENT
             return mobility.along(self._fixed_normal, min_speed, either_way=either_way)
         if self.direction is None:
-            is_anywhere = self.contact.rank == len(X_AXIS)
+            is_anywhere = len(mobility.values) == len(X_AXIS)
             mass = self._worst_mass_at_rest(mobility)
             found = (Mobility.of_any_direction if is_anywhere else Mobility.of_mass)(mass, X_AXIS)
         elif self.settings.contact_normal == "velocity":  # of the first touch, as in the paper and the standard
@@ -365,7 +362,7 @@ class ContactAssessor:
 
     def _mobilities(self) -> list[Mobility]:
         """Return the mobilities for the contact normal of the settings, also those of joints that are held."""
-        free = [m.mobility if m.code is ModelCode.ISO else self._at_normal(m.mobility) for m in self.models]
+        free = [self._at_normal(m.mobility) for m in self.models]
         if self.settings.drives is not Drives.SERVO or self.settings.servo.computed_torque:
             return free
         codes = (model.code for model in self.models if model.code is not ModelCode.ISO)

@@ -236,6 +236,16 @@ class ContactState:
         diagonal = np.diag(np.diagonal(self.state.mass_matrix[model]))
         return replace(found, hull=self.hull(diagonal))
 
+    def uniform_mobility(self, mass: float, n: FloatArray | None) -> Mobility:
+        """Return the mobility of one `mass` [kg] in every direction for a contact along n; at rest for None.
+
+        The mass stays as the pose changes, the velocity of the point does not.
+        """
+        if n is None:
+            return Mobility.of_matrix(np.eye(3) / mass, X_AXIS, len(X_AXIS))
+        change = PoseChange(self.speed, np.zeros((3, 3)), (self.jacobian_rate @ self.state.qd,))
+        return replace(Mobility.of_matrix(np.eye(3) / mass, n, len(X_AXIS), change), hull=self.hull(None))
+
     def _mobility(
         self, matrix: FloatArray, rate: FloatArray, accelerations: tuple[FloatArray, ...], n: FloatArray | None
     ) -> Mobility:

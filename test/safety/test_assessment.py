@@ -17,7 +17,7 @@ from scara_effmass.iso15066 import BODY_REGIONS, Limit, contact_cases, limits_fo
 from scara_effmass.kernel.admission import METRES_PER_RADIAN, WINDOW_S
 from scara_effmass.model.load import load_robot
 from scara_effmass.reference import ContactState, RobotDynamics
-from scara_effmass.reference.mobility import Mobility
+from scara_effmass.reference.mobility import Mobility, PoseChange
 from scara_effmass.reference.pose_state import X_AXIS
 from scara_effmass.reference.speed_limit import DrivePush, speed_limit
 from scara_effmass.safety import Monitor
@@ -140,10 +140,13 @@ def bounding_speed(
     mu = bounding_reduced_mass(contact, model, iso_mass, limit.body_mass_kg, settings)
     speed, growth = limit.permissible_force_n / math.sqrt(mu * stiffness), 0.0
     n = direction_of(contact, settings)
-    if model is not ModelCode.ISO and n is not None and settings.contact_normal != "velocity":
-        change = contact.mobility(model, n).change
+    if n is not None and settings.contact_normal != "velocity":
+        change = contact.mobility(ModelCode.FULL if model is ModelCode.ISO else model, n).change
         assert change is not None
-        mobility, rate = contact.mobilities[model], change.mobility_rate / (1.0 + settings.mass_uncertainty)
+        if model is ModelCode.ISO:  # its mass stays as the pose changes
+            change = PoseChange(change.speed, np.zeros((3, 3)), change.accelerations[1:])
+        mobility = np.eye(3) / iso_mass if model is ModelCode.ISO else contact.mobilities[model]
+        rate = change.mobility_rate / (1.0 + settings.mass_uncertainty)
         matrix = mobility / (1.0 + settings.mass_uncertainty) + np.eye(3) / limit.body_mass_kg
         w, along_speed, accelerations = np.linalg.solve(matrix, n), contact.speed, change.accelerations
         if settings.fixed_normal is not None:
@@ -814,6 +817,18 @@ def test_fixed_normal_clamps_along_both_its_senses(scara_variant: Variant, norma
     there, back = (contact_at(robot, q).clamping_force([np.array(n)]) for n in (normal, (-x, -y, -z)))
     assert (abs(there - back) > 10.0) == (z != 0.0)
     assert contact.clamping_force == pytest.approx(max(there, back))
+
+
+@pytest.mark.parametrize(("qd", "normal"), [((-1.0, 1.5, 0.01, 0.1), "worst"), ((0.5, -2.0, 0.01, 0.1), "0.6 -0.8 0")])
+def test_arm_that_does_not_yield_has_the_speed_of_its_path_by_every_mass(
+    scara: RobotDynamics, qd: Vector, normal: str
+) -> None:
+    """The mass of the standard does not change with the pose, but the velocity does."""
+    q = (0.3, 1.2, 0.1, 0.0)
+    chosen = {"contact_normal": normal, "drives": "immovable", "body_regions": ["abdomen"]}
+    full, iso = (assess_one(scara, q, qd, effective_mass_model=model, **chosen) for model in ("full", "iso"))
+    assert full.allowable_speed > 0.0
+    assert iso.allowable_speed == pytest.approx(full.allowable_speed, rel=1e-9)
 
 
 def test_largest_mass_counts_the_change_of_pose_of_the_lumped_model(bare_scara: RobotDynamics) -> None:
