@@ -450,7 +450,7 @@ class MonitorSettings(FrozenSettings):
                 is_clamped and self.drives is not Drives.FREE,
                 "contact = quasi_static, and drives = servo or immovable",
             ),
-            "external_force_limit": (is_clamped or is_servo, "contact = quasi_static or drives = servo"),
+            "external_force_limit": (is_clamped, "contact = quasi_static"),
         }
 
     @property

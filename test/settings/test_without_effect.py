@@ -31,7 +31,6 @@ DIRECTION = [1.0, 0.0, 0.0]
         ("monitor", "servo.damping", 0.5, {"drives": "servo"}),
         ("monitor", "servo.computed_torque", True, {"drives": "servo"}),
         ("monitor", "servo.stopping_time", 1.0, {"drives": "immovable", "contact": "quasi_static"}),
-        ("monitor", "external_force_limit", 100.0, {"drives": "servo"}),
         ("monitor", "external_force_limit", 100.0, {"contact": "quasi_static"}),
         ("validator", "obstacle_mass", 3.0, {"obstacle_fixed": False}),
         ("daq", "filter.cutoff", 100.0, {"filter.kind": "causal"}),
@@ -51,6 +50,12 @@ def test_setting_without_effect_is_named_until_it_has_one(
     assert line.startswith(f"{name} = ")
     assert "has no effect without" in line
     assert checked(KINDS[node], {**idle[node], **cure, name: value}, node).without_effect() == []
+
+
+def test_force_of_a_safety_function_has_no_effect_on_an_impact() -> None:
+    """It stops a contact that lasts, also one with a servo."""
+    settings = checked(MonitorSettings, {"drives": "servo", "external_force_limit": 100.0}, "monitor")
+    assert settings.without_effect() == ["external_force_limit = 100.0 has no effect without contact = quasi_static"]
 
 
 @pytest.mark.parametrize("node", ["monitor", "daq"])
