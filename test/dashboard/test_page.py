@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser, Page, expect, sync_playwright
+from playwright.sync_api import Browser, Locator, Page, expect, sync_playwright
 
 from test.forked import Forked
 from test.nodes.conftest import NodeHarness, joint_state
@@ -140,6 +140,22 @@ def websocket_status(port: int) -> int:
         return connection.getresponse().status
 
 
+def expect_narrow_layout(page: Page) -> Locator:
+    """Narrow the page: no text is squeezed; return the row of a contact."""
+
+    def size(place: Locator, name: str) -> int:  # 0 where an update has just replaced it
+        return next(filter(None, iter(partial(place.evaluate, f"place => place.{name}"), None)))
+
+    page.set_viewport_size({"width": 768, "height": 1024})
+    page.wait_for_function("document.documentElement.scrollWidth == 768")  # the plots follow their observers
+    assert size(page.get_by_role("region", name="Episodes").get_by_role("cell").last, "clientWidth") > 100
+    page.set_viewport_size({"width": 390, "height": 844})
+    page.wait_for_function("document.documentElement.scrollWidth == 390")
+    contact = page.get_by_role("region", name="Contact points").get_by_role("row").nth(1)
+    assert size(contact, "offsetHeight") < 40
+    return contact
+
+
 def test_the_page_shows_what_holds_and_never_an_old_ok(monitor: NodeHarness, browser: Browser) -> None:
     addresses: list[str] = []
     page = browser.new_page(viewport={"width": 1440, "height": 1000})
@@ -186,15 +202,11 @@ def test_the_page_shows_what_holds_and_never_an_old_ok(monitor: NodeHarness, bro
         assert table.startswith("verdict,start,end,duration_s,contact_point,cause,simulated\r\nUNKNOWN,")
         assert "\r\nVIOLATION," in table
 
-        page.set_viewport_size({"width": 390, "height": 844})
-        page.wait_for_function("document.documentElement.scrollWidth == 390")  # the plots follow their observers
-        contact = page.get_by_role("region", name="Contact points").get_by_role("row").nth(1)
-        height = partial(contact.evaluate, "row => row.getBoundingClientRect().height")
-        assert next(filter(None, iter(height, None))) < 40.0  # 0 where an update has just replaced the row
-
+        contact = expect_narrow_layout(page)
         process.kill()
         expect_verdict(page, "UNKNOWN", 5e3)
         expect(page.get_by_text("no connection to the dashboard server")).to_be_visible()
+        expect(contact).to_be_hidden()
     with dashboard(port):
         expect_verdict(page, "OK")
     assert addresses
