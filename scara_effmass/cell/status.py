@@ -44,10 +44,10 @@ _LOST_FORCE_NS = 2_000_000_000
 
 
 class SpeedSample(NamedTuple):
-    """Speed and allowable speed [m/s] of the contact point with the smallest margin."""
+    """Speed, not known under UNKNOWN, and allowable speed [m/s] of the contact point with the smallest margin."""
 
     at_ns: int
-    contact_point: str
+    verdict: Verdict
     speed: float
     allowable_speed: float
 
@@ -234,7 +234,7 @@ class CellStatus:
         self.update(at_ns)
 
     def _take_speed(self, contact: ContactAssessment, at_ns: int) -> None:
-        sample = SpeedSample(at_ns, contact.contact_point, contact.speed, contact.allowable_speed)
+        sample = SpeedSample(at_ns, contact.verdict, contact.speed, contact.allowable_speed)
         last = self.speeds[-1] if self.speeds else None
         if last is None or last.at_ns // BIN_NS < at_ns // BIN_NS:
             self.speeds.append(sample)

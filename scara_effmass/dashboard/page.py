@@ -146,7 +146,7 @@ class Page:
     def _refresh_slowly(self) -> None:
         """Show charts and tables."""
         now_ns, status = time.monotonic_ns(), self._client.status
-        _show(self._speeds, *_speed_lines(status, now_ns))
+        _show(self._speeds, *speed_lines(status, now_ns))
         records = list(status.impacts)
         traces: list[list[list[float]]] = [[], [], []]
         for record, index in zip(reversed(records), (0, 2), strict=False):
@@ -241,15 +241,20 @@ def _speed_html(status: CellStatus) -> str:
     )
 
 
-def _speed_lines(status: CellStatus, now_ns: int) -> tuple[list[list[float | None]], list[list[float | None]]]:
-    """Return allowable speeds and speeds over the last minute; a gap in time is a gap in the line."""
+def speed_lines(status: CellStatus, now_ns: int) -> tuple[list[list[float | None]], list[list[float | None]]]:
+    """Return allowable speeds and speeds over the last minute; a gap in time is a gap in the line.
+
+    Under UNKNOWN no speed is allowed, and the speed is a gap: it is not known.
+    """
     lines: tuple[list[list[float | None]], list[list[float | None]]] = ([], [])
     last_ns = 0
     for sample in status.speeds:
-        for line, speed in zip(lines, (at_most(sample.allowable_speed, 3), at_least(sample.speed, 3)), strict=True):
+        is_known = sample.verdict is not Verdict.UNKNOWN
+        allowable, speed = float(at_most(sample.allowable_speed, 3)), float(at_least(sample.speed, 3))
+        for line, value in zip(lines, (allowable, speed if is_known else None), strict=True):
             if line and sample.at_ns - last_ns > status.timeout_ns:
                 line.append([round((last_ns - now_ns) / 1e9, 2), None])
-            line.append([round((sample.at_ns - now_ns) / 1e9, 2), float(speed)])
+            line.append([round((sample.at_ns - now_ns) / 1e9, 2), value])
         last_ns = sample.at_ns
     return lines
 
