@@ -15,8 +15,9 @@ from typing import Any
 
 from nicegui import ui
 
-from scara_effmass.cell.status import HISTORY_NS, CellStatus, ImpactRecord, Validation
+from scara_effmass.cell.status import HISTORY_NS, CellStatus, ImpactRecord
 from scara_effmass.dashboard.scene import RobotScene
+from scara_effmass.impacts.agreement import comparison_text
 from scara_effmass.impacts.load import peak_text
 from scara_effmass.nodes.cell_client import CellClient
 from scara_effmass.reference import RobotDynamics
@@ -34,7 +35,7 @@ _SHAPES = {
 }
 _LEVELS = ("OK", "WARN", "ERROR", "STALE")
 _DIAGNOSTICS_AGE_NS = 5_000_000_000
-_SPEED_COLOR, _LIMIT_COLOR, _GRID = "#17202a", "#c2410c", {"left": 50, "right": 16, "top": 34, "bottom": 42}
+_SPEED_COLOR, _LIMIT_COLOR, _GRID = "#17202a", "#c2410c", {"left": 50, "right": 16, "top": 52, "bottom": 42}
 
 
 class Page:
@@ -136,7 +137,7 @@ class Page:
         advice = remedy(status.reason_code)
         self._remedy.text = f"Remedy: {advice}.".replace("`", "") if advice else ""
         self._now.content = _speed_html(status)
-        self._contacts.content = _table(*_contact_rows(status))
+        self._contacts.content = _table(*contact_rows(status))
         self._simulated.text = f"SIMULATED {' AND '.join(status.simulated).upper()}" if status.simulated else ""
         self._scene.update(status, now_ns)
         self._scene_note.text = self._scene.note
@@ -158,13 +159,7 @@ class Page:
         _show(self._force, *traces)
         self._force.set_visibility(bool(traces[0]))
         rows = [
-            [
-                self._clock(record.at_ns) + " (simulated)" * record.impact.simulated,
-                peak_text(record.impact),
-                prediction_text(record),
-                f"{record.validation.relative_error:+.1%}" if record.validation else "",
-                _region_text(record.validation) if record.validation else "",
-            ]
+            [self._clock(record.at_ns) + " (simulated)" * record.impact.simulated, *impact_texts(record)]
             for record in islice(reversed(records), 4)
         ]
         self._impacts.content = _table(
@@ -183,7 +178,7 @@ class Page:
         self._load.text = status.load_text(now_ns)
         self._diagnostics.content = _table(
             ["node", "status", "message"],
-            list(_diagnostic_rows(status, now_ns)),
+            list(diagnostic_rows(status, now_ns)),
             "no diagnostics are received: no node of this cell publishes them",
         )
         episodes = [
@@ -274,7 +269,7 @@ def load_lines(status: CellStatus, now_ns: int) -> list[list[list[float | None]]
     ]
 
 
-def _contact_rows(status: CellStatus) -> tuple[list[str], list[list[str]], str]:
+def contact_rows(status: CellStatus) -> tuple[list[str], list[list[str]], str]:
     """Return a table with a row for each contact."""
 
     def mass(value: float) -> str:
@@ -289,7 +284,7 @@ def _contact_rows(status: CellStatus) -> tuple[list[str], list[list[str]], str]:
         "effective mass, full": lambda contact: mass(contact.full_mass),
         "effective mass, ISO": lambda contact: mass(contact.iso_mass),
         "deciding mass": lambda contact: f"{contact.mass_model}, {mass(contact.effective_mass)}",
-        "upper bound of force": lambda contact: f"{contact.force_bound:.0f} N",
+        "upper bound of force": lambda contact: f"{at_least(contact.force_bound, 0)} N",
         "limit": lambda contact: f"{contact.body_region.replace('_', ' ')}, {contact.criterion}",
     }
     contacts = status.contacts if status.verdict is not Verdict.UNKNOWN else ()
@@ -297,20 +292,12 @@ def _contact_rows(status: CellStatus) -> tuple[list[str], list[list[str]], str]:
     return [*columns], rows, "no numbers while the verdict is UNKNOWN"
 
 
-def prediction_text(record: ImpactRecord) -> str:
-    """Return the predicted force, or why there is none."""
-    if record.validation:
-        return f"{record.validation.predicted_force:.1f} N"
-    return f"none: {record.left_out}" if record.left_out else "none yet"
-
-
-def _region_text(validation: Validation) -> str:
-    """Return the force converted to the body region, and its limit."""
-    if not validation.body_region:
-        return "none to compare"
-    force, limit = at_least(validation.region_force, 1), at_most(validation.limit_force, 1)
-    above = ", ABOVE" * validation.exceeds_limit
-    return f"{force} of {limit} N, {validation.body_region.replace('_', ' ')}{above}"
+def impact_texts(record: ImpactRecord) -> list[str]:
+    """Return peak, predicted force or why there is none, its error, and the forces on the body with their limits."""
+    peak, impact = peak_text(record.impact), record.validation
+    if impact is None:
+        return [peak, f"none: {record.left_out}" if record.left_out else "none yet", "", ""]
+    return [peak, f"{impact.predicted_force:.1f} N", f"{impact.relative_error:+.1%}", comparison_text(impact)]
 
 
 def _series_text(status: CellStatus) -> str:
@@ -322,12 +309,13 @@ def _series_text(status: CellStatus) -> str:
     return f"{text}: {last.reason}" if last.reason else text
 
 
-def _diagnostic_rows(status: CellStatus, now_ns: int) -> Iterator[list[str]]:
+def diagnostic_rows(status: CellStatus, now_ns: int) -> Iterator[list[str]]:
+    """Yield node and name, level, and message of each diagnostic status."""
     for entry in sorted(status.diagnostics.values(), key=lambda entry: entry.name):
-        node, _, name = entry.name.rpartition("/")[2].partition(": ")
+        node, _, name = entry.name.partition(": ")
         is_stale = now_ns - entry.at_ns > _DIAGNOSTICS_AGE_NS
         message = f"silent for {(now_ns - entry.at_ns) / 1e9:.0f} s" if is_stale else entry.message
-        yield [f"{node} {name}", "STALE" if is_stale else _LEVELS[min(entry.level, 3)], message]
+        yield [f"{node.rpartition('/')[2]} {name}", "STALE" if is_stale else _LEVELS[min(entry.level, 3)], message]
 
 
 def _icon(verdict: Verdict) -> str:

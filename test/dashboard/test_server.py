@@ -15,14 +15,16 @@ from starlette.applications import Starlette
 from starlette.responses import PlainTextResponse
 from starlette.routing import Route
 
-from scara_effmass.cell.status import CellStatus, ImpactRecord, LoadSample
-from scara_effmass.dashboard.page import csv_of, load_lines, prediction_text
+from scara_effmass.cell.status import CellStatus, Diagnostic, ImpactRecord, LoadSample, Validation
+from scara_effmass.dashboard.page import contact_rows, csv_of, diagnostic_rows, impact_texts, load_lines, speed_lines
 from scara_effmass.dashboard.server import BoundedConnection, Guard, bound_socket, escape_logs, is_local
 from scara_effmass.errors import SettingsError
 from scara_effmass.safety import unknown_contact
-from scara_effmass.values import Verdict
+from scara_effmass.values import Impact, Verdict
 from test.decisions import decision_on
 
+NUMBERS = dict.fromkeys(("impulse", "onset_sample", "baseline", "noise", "clock_residual"), 0.0)
+IMPACT = Impact(1, "", 100.0, 0.02, clipped=False, incomplete=False, rebound=0, source="sim", simulated=True, **NUMBERS)
 APP = Starlette(routes=[Route("/", lambda _: PlainTextResponse("page"))])
 
 
@@ -191,8 +193,40 @@ def test_no_control_character_of_a_request_reaches_the_terminal(name: str) -> No
     ("left_out", "text"), [("", "none yet"), ("obstacle_mass is not given", "none: obstacle_mass is not given")]
 )
 def test_impact_without_a_prediction_says_why(left_out: str, text: str) -> None:
-    impact: Any = None
-    assert prediction_text(ImpactRecord(impact, 0, left_out=left_out)) == text
+    assert impact_texts(ImpactRecord(IMPACT, 0, left_out=left_out)) == ["100.0 N", text, "", ""]
+
+
+def test_force_that_stays_is_compared_with_its_own_limit() -> None:
+    series: Any = None
+    peak = ("lower_leg", 60.14, 260.0)
+    validation = Validation(1, 99.0, 100.0, -0.01, 0.5, 0.25, False, *peak, True, series, 131.0, 130.0, "lower_leg")  # noqa: FBT003
+    *_, text = impact_texts(ImpactRecord(IMPACT, 0, validation=validation))
+    assert text.startswith(
+        "converted 60.2 N on lower_leg, below its limit of 260.0 N; held 131.0 N on lower_leg, ABOVE"
+    )
+
+
+def test_speed_is_a_gap_while_it_is_not_known() -> None:
+    status = CellStatus(0)
+    known = unknown_contact("tool", "")._replace(verdict=Verdict.OK, speed=0.2, allowable_speed=0.5, margin=0.3)
+    status.take_decision(decision_on(known), 1_000_000_000)
+    status.take_decision(decision_on(unknown_contact("tool", "")), 1_100_000_000)
+    assert speed_lines(status, 1_100_000_000) == ([[-0.1, 0.5], [0.0, 0.0]], [[-0.1, 0.2], [0.0, None]])
+
+
+def test_upper_bound_of_the_force_is_rounded_up() -> None:
+    status = CellStatus(0)
+    contact = unknown_contact("tool", "")._replace(verdict=Verdict.OK, force_bound=9.2)
+    status.take_publisher(400_000_000, exists=True)
+    status.take_decision(decision_on(contact), 1)
+    headings, (row,), _ = contact_rows(status)
+    assert dict(zip(headings, row, strict=True))["upper bound of force"] == "10 N"
+
+
+def test_diagnostics_of_a_contact_point_whose_name_has_a_slash_name_their_node() -> None:
+    status = CellStatus(0)
+    status.take_diagnostic(Diagnostic("/cell/monitor: contact left/tool", 0, "OK", {}, 1))
+    assert list(diagnostic_rows(status, 2)) == [["monitor contact left/tool", "OK", "OK"]]
 
 
 def test_load_that_is_not_observable_is_a_gap() -> None:
