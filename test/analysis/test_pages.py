@@ -124,6 +124,12 @@ def test_reason_is_translated_with_its_words() -> None:
     assert "".join(part for part, _ in phrases(text, "de")) == german
 
 
+def test_why_a_mass_decides_is_translated() -> None:
+    text = "full: no lumped mass: joint4 moves the contact point along n, but no lumped mass (2.0%)"
+    german = "full: keine Masse lumped: joint4 bewegt den Kontaktpunkt entlang n, aber keine konzentrierte Masse (2.0%)"
+    assert "".join(part for part, _ in phrases(text, "de")) == german
+
+
 @pytest.mark.parametrize(
     "text",
     [
