@@ -37,7 +37,7 @@ PATIENCE_S = 0.2
 """Time for which live output waits for a terminal."""
 WIDE = 100
 """Columns from which a table has room for sentences."""
-_MAX_WORD = 16
+_MAX_WORD = 20
 LEVEL_STYLES = {"ok": "green", "note": "yellow", "wrong": "bold white on red"}
 VERDICT_STYLES = {
     Verdict.OK: "bold black on green",
@@ -128,19 +128,22 @@ def print_result(result: object, lines: Iterable[tuple[str, object]], *, as_json
 def print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
     """Print a table; numbers are aligned right, a missing number reads "none", and levels have their colour.
 
-    Words of up to 16 characters are kept whole.
+    Words of up to 20 characters, as UR names its joints, are kept whole.
     """
+
+    def text_of(value: object) -> str:
+        return "none" if value is None else f"{value:.4g}" if isinstance(value, int | float) else str(value)
+
     table = Table(box=SIMPLE_HEAD, title=title or None, title_justify="left", collapse_padding=True)
     rows = list(rows)
     for heading, column in zip(headings, zip(*rows, strict=True), strict=True):
         is_numeric = all(value is None or isinstance(value, int | float) for value in column)
-        longest = max(len(word) for text in (heading, *column) for word in (str(text).split() or [""]))
+        longest = max(len(word) for text in (heading, *map(text_of, column)) for word in (text.split() or [""]))
         table.add_column(
             heading, justify="right" if is_numeric else "left", overflow="fold", min_width=min(longest, _MAX_WORD)
         )
     for row in rows:
-        cells = ("none" if v is None else f"{v:.4g}" if isinstance(v, int | float) else str(v) for v in row)
-        table.add_row(*(Text(cell, LEVEL_STYLES.get(cell, "")) for cell in cells))
+        table.add_row(*(Text(cell, LEVEL_STYLES.get(cell, "")) for cell in map(text_of, row)))
     printer().print(table)
 
 

@@ -77,8 +77,10 @@ def run(args: argparse.Namespace) -> int:
     else:
         print_findings(("level", "subject", "result"), results)
         if joints:
-            headings = ("joint", "type", "lower", "upper", "max. speed [unit/s]", "link mass [kg]", "unit")
-            rows = ((*joint.values(), "rad" if joint["type"] == "revolute" else "m") for joint in joints)
+            headings = ("joint", "unit", "lower", "upper", "speed [unit/s]", "link mass [kg]")
+            rows = (
+                (name, "rad" if kind == "revolute" else "m", *rest) for name, kind, *rest in map(dict.values, joints)
+            )
             print_table("", headings, rows)
         problem = "not healthy: the monitor cannot run: see the lines marked wrong"
         verdict = "healthy: the monitor can run with this robot" if healthy else problem

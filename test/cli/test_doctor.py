@@ -50,19 +50,23 @@ def texts(result: dict[str, Any], level: str) -> dict[str, str]:
     return {finding["subject"]: finding["text"] for finding in result["findings"] if finding["level"] == level}
 
 
+@pytest.mark.parametrize(
+    "words", [(), ("--robot", str(share("config", "robots", "ur10_robot.urdf")))], ids=["shipped", "ur10"]
+)
 def test_results_fit_into_80_columns_and_keep_their_words(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]
 ) -> None:
-    _, result = run_doctor(capsys)
+    _, result = run_doctor(capsys, *words)
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
     monkeypatch.setenv("COLUMNS", "80")
     monkeypatch.setenv("TERM", "dumb")
-    assert main(["doctor"]) == 0
+    assert main(["doctor", *words]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line for line in lines if len(line) > 80 and len(line.split()) > 1] == []
-    words = set(" ".join(lines).split())
-    assert {word for finding in result["findings"] for word in finding["text"].split()} <= words
-    assert len(lines) < 75
+    shown = set(" ".join(lines).split())
+    assert {word for finding in result["findings"] for word in finding["text"].split() if len(word) < 74} <= shown
+    assert {joint["name"] for joint in result["joints"]} <= shown
+    assert len(lines) < 90
 
 
 def test_shipped_robot_is_healthy(capsys: pytest.CaptureFixture[str]) -> None:
