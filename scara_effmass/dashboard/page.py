@@ -52,6 +52,7 @@ class Page:
             self._simulated = ui.label().classes("simulated").props("role=note")
             ui.element("span").classes("spring")
             ui.label(ADVISORY)
+            self._time = ui.label().classes("time").props("role=timer")  # dates a print or a photo of the page
         with ui.element("div").classes("page"):
             self._make_verdict()
             with _card("Robot", "wide"):
@@ -141,6 +142,7 @@ class Page:
         self._simulated.text = f"SIMULATED {' AND '.join(status.simulated).upper()}" if status.simulated else ""
         self._scene.update(status, now_ns)
         self._scene_note.text = self._scene.note
+        self._time.text = f"{datetime.now().astimezone():%Y-%m-%d %H:%M:%S}"
         self._beats += 1
         self._beat.text = str(self._beats)
 

@@ -141,7 +141,7 @@ def websocket_status(port: int) -> int:
 
 
 def expect_narrow_layout(page: Page) -> Locator:
-    """Narrow the page: no text is squeezed; return the row of a contact."""
+    """Narrow the page and print it: no text is squeezed or cut, and a print has a date; return the row of a contact."""
 
     def size(place: Locator, name: str) -> int:  # 0 where an update has just replaced it
         return next(filter(None, iter(partial(place.evaluate, f"place => place.{name}"), None)))
@@ -149,6 +149,11 @@ def expect_narrow_layout(page: Page) -> Locator:
     page.set_viewport_size({"width": 768, "height": 1024})
     page.wait_for_function("document.documentElement.scrollWidth == 768")  # the plots follow their observers
     assert size(page.get_by_role("region", name="Episodes").get_by_role("cell").last, "clientWidth") > 100
+    page.emulate_media(media="print")
+    numbers = page.get_by_role("region", name="Contact points").locator(".numbers")
+    assert size(numbers, "scrollWidth") <= size(numbers, "clientWidth")
+    assert re.fullmatch(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d", page.get_by_role("timer").inner_text())
+    page.emulate_media(media="screen")
     page.set_viewport_size({"width": 390, "height": 844})
     page.wait_for_function("document.documentElement.scrollWidth == 390")
     contact = page.get_by_role("region", name="Contact points").get_by_role("row").nth(1)
@@ -207,6 +212,7 @@ def test_the_page_shows_what_holds_and_never_an_old_ok(monitor: NodeHarness, bro
         expect_verdict(page, "UNKNOWN", 5e3)
         expect(page.get_by_text("no connection to the dashboard server")).to_be_visible()
         expect(contact).to_be_hidden()
+        expect(page.get_by_role("timer")).to_be_hidden()
     with dashboard(port):
         expect_verdict(page, "OK")
     assert addresses
