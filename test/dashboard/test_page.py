@@ -156,6 +156,7 @@ def expect_narrow_layout(page: Page) -> Locator:
     page.emulate_media(media="screen")
     page.set_viewport_size({"width": 390, "height": 844})
     page.wait_for_function("document.documentElement.scrollWidth == 390")
+    assert size(page.get_by_role("region", name="Episodes").get_by_role("cell").last, "clientWidth") > 100
     contact = page.get_by_role("region", name="Contact points").get_by_role("row").nth(1)
     assert size(contact, "offsetHeight") < 40
     return contact
