@@ -176,7 +176,7 @@ def limit_text(result: Result) -> str:
         force, origin = others.worst, "left out of the series" if result.impacts else NOT_CONVERTED
     else:
         force = RegionForce(worst.body_region, worst.region_force, worst.limit_force, "")
-        origin = f"converted from a measured peak of {worst.measured_force:.0f} N"
+        origin = f"converted from a measured peak of {at_least(worst.measured_force, 0)} N"
     kind = "contacts" if others.contacts else "impacts"
     largest = f"largest {at_least(force.force, 0)} N of {at_most(force.limit, 0)} N ({force.region}), {origin}"
     unknown = f"; {result.unmeasured} clipped, incomplete or stuck: force not known" if result.unmeasured else ""

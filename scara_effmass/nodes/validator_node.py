@@ -14,7 +14,7 @@ from scara_effmass_msgs.msg import ContactStates, ForceBlock, Impact, ImpactVali
 from scara_effmass import values
 from scara_effmass.cell.status import MAX_IMPACTS, left_out_entry
 from scara_effmass.errors import DecodeError, SettingsError
-from scara_effmass.impacts.agreement import comparison_text
+from scara_effmass.impacts.agreement import RegionForce, comparison_text
 from scara_effmass.impacts.detector import Detector
 from scara_effmass.impacts.impact_matcher import DUPLICATE, REBOUND
 from scara_effmass.impacts.load import LARGER_HELD, LeftOuts
@@ -25,7 +25,7 @@ from scara_effmass.nodes.latched_input import LatchedInput
 from scara_effmass.nodes.lifecycle import LifecycleBase, run
 from scara_effmass.settings import DetectionSettings, MonitorSettings, ValidatorSettings, checked
 from scara_effmass.settings.loading import fixed
-from scara_effmass.values import Decision, ValidatedImpact
+from scara_effmass.values import Decision, ValidatedImpact, at_least, at_most
 from scara_effmass.wire import topics
 from scara_effmass.wire.cdr import NS
 from scara_effmass.wire.contact_states import decode_contact_states
@@ -197,6 +197,10 @@ def impact_text(impact: ValidatedImpact) -> str:
     return f"{simulated}: {force}; {comparison_text(impact)}; {impact.series.count} in the series"
 
 
+def _force_text(worst: RegionForce) -> str:
+    return f"{at_least(worst.force, 1)} N of {at_most(worst.limit, 1)} N on {worst.region}"
+
+
 def series_status(
     validator: Validator,
     undecodable: Counter[str],
@@ -216,13 +220,9 @@ def series_status(
     selected, fit = next((model.overall, model.fit) for model in result.models if model.model == result.model)
     problems = []
     if result.held.exceedances:
-        worst = result.held.worst
-        problems.append(f"held force above a limit: {worst.force:.1f} N of {worst.limit:.1f} N on {worst.region}")
+        problems.append(f"held force above a limit: {_force_text(result.held.worst)}")
     if result.left_out.exceedances:
-        worst = result.left_out.worst
-        problems.append(
-            f"left out of the series and above a limit: {worst.force:.1f} N of {worst.limit:.1f} N on {worst.region}"
-        )
+        problems.append(f"left out of the series and above a limit: {_force_text(result.left_out.worst)}")
     if result.unmeasured:
         problems.append(f"{result.unmeasured} contacts clipped, incomplete or stuck: their force is not known")
     if result.ac_coupled:

@@ -13,7 +13,7 @@ from scara_effmass.model.lumping import lumped_suffices
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety.assumptions import Assumptions, scope
 from scara_effmass.settings import MonitorSettings
-from scara_effmass.values import speed_texts
+from scara_effmass.values import at_least, at_most, speed_texts
 
 NOT_DEFINITE = "the lumped mass matrix is singular or not positive definite at this pose"
 MASSLESS = "a joint moves the contact point, but no lumped mass"
@@ -89,7 +89,7 @@ TEXTS = {
     ),
     Reason.LIGHT_MODEL: "the {choice} mass of {v[4]:.3g} kg is below the {best} model's {v[5]:.3g} kg",
     Reason.ASSUMED: "{assumed}",
-    Reason.CLAMPED: "the drives can clamp with {v[0]:.0f} N, above the {v[1]:.0f} N of {region}, at any speed",
+    Reason.CLAMPED: "the drives can clamp with {force} N, above the {limit} N of {region}, at any speed",
     Reason.UNSTATED_LOAD: "{detail}: the robot is heavier than its masses with `mass_uncertainty`",
     Reason.HEAVIER_LOAD: "{detail}",
     Reason.TURNS: (
@@ -202,6 +202,7 @@ class ReasonTexts:
         if is_speed:
             fields |= {"criterion": CRITERIA[int(numbers[2])], "region": self.regions[int(numbers[3])]}
         elif code is Reason.CLAMPED:
+            fields |= {"force": at_least(numbers[0], 0), "limit": at_most(numbers[1], 0)}
             fields["region"] = self.regions[int(numbers[2])]
         elif code is Reason.NO_LUMPED_MASS:
             fields["lumped"] = self.lumped[int(numbers[0])]

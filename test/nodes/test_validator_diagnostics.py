@@ -90,14 +90,14 @@ def test_each_impact_that_is_left_out_is_named_with_its_reason() -> None:
     changes: tuple[dict[str, Any], ...] = (
         {"clipped": True},
         {"rebound": 1},
-        {"held_force": 150.0, "compression_impulse": 0.05},
+        {"held_force": 150.02, "compression_impulse": 0.05},
     )
     for number, change in enumerate(changes):
         validator.add_impact(IMPACT._replace(stamp_ns=NOW + number, **change), NOW)
     assert not series(validator, "tool").message.startswith("held force")
     validator.pass_time(NOW + 10**9)
     found = series(validator, "tool")
-    assert found.message.startswith("held force above a limit: 150.0 N of ")
+    assert found.message.startswith("held force above a limit: 150.1 N of ")
     left_out = {pair.key: pair.value for pair in found.values if pair.key.startswith("left out")}
     assert left_out == {
         left_out_entry(NOW): "clipped: the force reached the end of the measuring range",

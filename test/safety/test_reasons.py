@@ -100,7 +100,7 @@ def test_robot_without_inertias_or_a_lumped_model_says_why(
             (*SPEEDS, 2.0, 3.0),
             "1.500 m/s is close to the 0.750 m/s that the force limit of {} allows; the lumped mass of 2 kg is below ",
         ),
-        (Reason.CLAMPED, (900.0, 65.4, 1), "the drives can clamp with 900 N, above the 65 N of {}, at any speed"),
+        (Reason.CLAMPED, (110.3, 110.0, 1), "the drives can clamp with 111 N, above the 110 N of {}, at any speed"),
     ],
 )
 def test_code_of_an_assessment_has_its_text(
