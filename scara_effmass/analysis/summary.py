@@ -253,7 +253,7 @@ class Summary:
         for verdict in (Verdict.OK, Verdict.WARN, Verdict.VIOLATION, Verdict.UNKNOWN):
             if count := self.cycles[verdict]:
                 share = self.time_ns[verdict] / total_ns if total_ns else count / cycles
-                yield verdict.name, f"{count} cycles, {self.time_ns[verdict] / 1e9:.2f} s ({share:.1%})"
+                yield verdict.name, f"{_cycles(count)}, {self.time_ns[verdict] / 1e9:.2f} s ({share:.1%})"
         yield from self._gap_lines()
         if self.tightest is not None:
             yield from self.tightest.lines()
@@ -263,7 +263,7 @@ class Summary:
             yield "mass model", f"{model} ({count / self.mass_models.total():.1%})"
         reasons = list(self.reason_counts().items())
         for reason, count in reasons[:REASONS_SHOWN]:
-            yield "UNKNOWN because", f"{reason} ({count} cycles)"
+            yield "UNKNOWN because", f"{reason} ({_cycles(count)})"
         if reasons[REASONS_SHOWN:]:
             yield "UNKNOWN because", f"{len(reasons) - REASONS_SHOWN} other reasons (--json lists them)"
         if self.remedy:
@@ -291,6 +291,10 @@ class Summary:
         is_gap = elapsed_ns > self.timeout_ns
         self.gaps += int(is_gap.sum())
         self.max_gap_ns = max(self.max_gap_ns, int(elapsed_ns[is_gap].max(initial=0)))
+
+
+def _cycles(count: int) -> str:
+    return f"{count} cycle{'s' * (count != 1)}"
 
 
 def _counts(values: NDArray[Any]) -> Iterator[tuple[int, int]]:

@@ -18,6 +18,7 @@ from nicegui import ui
 from scara_effmass.cell.status import HISTORY_NS, CellStatus, ImpactRecord
 from scara_effmass.dashboard.scene import RobotScene
 from scara_effmass.impacts.agreement import comparison_text
+from scara_effmass.impacts.criterion import impact_count
 from scara_effmass.impacts.load import peak_text
 from scara_effmass.nodes.cell_client import CellClient
 from scara_effmass.reference import RobotDynamics
@@ -307,7 +308,7 @@ def _series_text(status: CellStatus) -> str:
         return status.no_validation_reason
     last = status.validations[-1].series
     outcome = "accepted" if last.accepted else "not accepted" if last.decidable else "not decidable"
-    text = f"{last.count} impacts, correlation {last.correlation:.3f}: {outcome}"
+    text = f"{impact_count(last.count)}, correlation {last.correlation:.3f}: {outcome}"
     return f"{text}: {last.reason}" if last.reason else text
 
 

@@ -76,10 +76,10 @@ def _too_few(criterion: CriterionSettings, series: Series) -> Iterator[str]:
     total = count + series.left_out
     if count < criterion.least_count:
         left_out = f"; {series.left_out} left out: {series.left_out_reason}" if series.left_out else ""
-        yield f"{_impacts(count)}, at least {criterion.least_count} are required{left_out}"
+        yield f"{impact_count(count)}, at least {criterion.least_count} are required{left_out}"
     if count < criterion.least_paired_share * total:
         share = f"at least {criterion.least_paired_share:.0%} must be: {series.left_out_reason}"
-        yield f"{_impacts(count)} of {total} paired with the robot, {share}"
+        yield f"{impact_count(count)} of {total} paired with the robot, {share}"
 
 
 def _rejections(criterion: CriterionSettings, series: Series) -> Iterator[str]:
@@ -88,7 +88,7 @@ def _rejections(criterion: CriterionSettings, series: Series) -> Iterator[str]:
         offset = f"the joint states and the force are apart by an unknown time, {clock.extremes} by single impacts"
         if not math.isnan(clock.offset):
             offset = _median_offset(clock)
-        limit = f"{clock.beyond} of {_impacts(clock.impacts)} exceed {1e3 * criterion.largest_clock_offset:g} ms"
+        limit = f"{clock.beyond} of {impact_count(clock.impacts)} exceed {1e3 * criterion.largest_clock_offset:g} ms"
         yield f"{offset}: {limit}"
     if not agreement.correlation_reason and agreement.correlation < criterion.least_correlation:
         yield f"correlation {agreement.correlation:.4f} is below {criterion.least_correlation:g}"
@@ -96,7 +96,7 @@ def _rejections(criterion: CriterionSettings, series: Series) -> Iterator[str]:
         yield f"relative RMSE {agreement.relative_rmse:.4f} is above {criterion.largest_relative_rmse:g}"
     if agreement.shortfalls > criterion.largest_shortfall_share * agreement.count:
         yield (
-            f"{agreement.shortfalls} of {_impacts(agreement.count)} predicted more than "
+            f"{agreement.shortfalls} of {impact_count(agreement.count)} predicted more than "
             f"{criterion.shortfall_tolerance:.0%} too low, at most {criterion.largest_shortfall_share:.0%} may be"
         )
     if _is_outside(fit.gain_interval, series.gain_tolerance):
@@ -127,7 +127,10 @@ def _doubts(criterion: CriterionSettings, series: Series) -> Iterator[str]:
         (bool(agreement.correlation_reason), f"correlation undefined: {agreement.correlation_reason}"),
         (
             clock.impacts < MIN_KINK_SHARE * agreement.count,
-            f"the velocity shows the impact in {clock.impacts} of {_impacts(agreement.count)}: clock offset unknown",
+            (
+                f"the velocity shows the impact in {clock.impacts} of {impact_count(agreement.count)}: "
+                "clock offset unknown"
+            ),
         ),
         (
             clock.resolution > criterion.largest_clock_offset,
@@ -215,5 +218,6 @@ def _is_outside(interval: Interval, tolerance: float) -> bool:
     return interval.high < 1.0 / (1.0 + tolerance) or 1.0 + tolerance < interval.low
 
 
-def _impacts(count: int) -> str:
+def impact_count(count: int) -> str:
+    """Return a number of impacts in words."""
     return "1 impact" if count == 1 else f"{count} impacts" if count else "no impacts"

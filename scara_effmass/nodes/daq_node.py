@@ -25,6 +25,7 @@ from scara_effmass.daq.acquisition import Acquisition, AcquisitionState
 from scara_effmass.daq.conditioning import ForceChannel, SignalConditioner
 from scara_effmass.daq.source import ForceSource
 from scara_effmass.errors import DaqError, EffmassError, SettingsError
+from scara_effmass.impacts.criterion import impact_count
 from scara_effmass.impacts.detector import Detector
 from scara_effmass.impacts.load import peak_text
 from scara_effmass.nodes import parameters
@@ -386,7 +387,7 @@ def _channel_status(channel: ForceChannel, detector: Detector, impacts: int) -> 
     }
     for item in detector.left_out:
         values[f"left out: {item.reason}"] = f"{item.occurrences}, up to {item.peak_force:.1f} N"
-    return status(f"channel {channel.name}", f"{impacts} impacts", values, problem=problem, level=level)
+    return status(f"channel {channel.name}", impact_count(impacts), values, problem=problem, level=level)
 
 
 main = partial(run, "daq", DaqNode)

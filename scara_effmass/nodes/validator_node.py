@@ -15,6 +15,7 @@ from scara_effmass import values
 from scara_effmass.cell.status import MAX_IMPACTS, left_out_entry
 from scara_effmass.errors import DecodeError, SettingsError
 from scara_effmass.impacts.agreement import RegionForce, comparison_text
+from scara_effmass.impacts.criterion import impact_count
 from scara_effmass.impacts.detector import Detector
 from scara_effmass.impacts.impact_matcher import DUPLICATE, REBOUND
 from scara_effmass.impacts.load import LARGER_HELD, LeftOuts
@@ -122,7 +123,8 @@ class ValidatorNode(LifecycleBase[NodeSettings]):
             self._forget_obstacle(f"{topics.RUN_INFO}: {error}")
             return
         if late:
-            self.get_logger().error(f"{topics.RUN_INFO}: arrived after {late} impacts of its run: they do not count")
+            late_text = f"arrived after {impact_count(late)} of its run, left out of the series"
+            self.get_logger().error(f"{topics.RUN_INFO}: {late_text}")
 
     def _forget_obstacle(self, reason: str) -> None:
         """Let the obstacle mass be unknown for `reason`: predictions would use that of another run."""
@@ -160,7 +162,7 @@ class ValidatorNode(LifecycleBase[NodeSettings]):
         self._validator.reset()
         self._detector.left_out = LeftOuts()
         self._undecodable.clear()
-        return f"new series started; the previous one had {count} impacts"
+        return f"new series started; the previous one had {impact_count(count)}"
 
     def _write_report(self) -> str:
         """Write the report of the series; return the path of its page. Raises OutputError, RobotError."""
@@ -229,14 +231,14 @@ def series_status(
         problems.append(LARGER_HELD)
     problems += [result.clock, result.force_sign, unheard]
     if unpaired := sum(result.unpaired.values()):
-        problems.append(f"{unpaired} impacts could not be paired: {', '.join(result.unpaired)}")
+        problems.append(f"{impact_count(unpaired)} could not be paired: {', '.join(result.unpaired)}")
     if result.contact_point not in contact_points:
         others = ", ".join(sorted(contact_points))
         problems.append(
             f"no contact states of {result.contact_point}, only of {others}" if others else "no contact states"
         )
     if result.waiting:
-        problems.append(f"{result.waiting} impacts wait for contact states")
+        problems.append(f"waiting for contact states: {impact_count(result.waiting)}")
     if undecodable:
         problems.append(f"{undecodable.total()} undecodable messages, the last one: {example}")
     values: dict[str, object] = {
@@ -275,7 +277,7 @@ def series_status(
     values |= {
         left_out_entry(impact.stamp_ns): ": ".join(filter(None, (impact.reason, impact.detail))) for impact in left_out
     }
-    message = f"{len(result.impacts)} impacts, {result.verdict}"
+    message = f"{impact_count(len(result.impacts))}, {result.verdict}"
     return status("series", message, values, problem="; ".join(filter(None, problems)), hardware_id=robot)
 
 

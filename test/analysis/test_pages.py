@@ -184,6 +184,8 @@ def test_contacts_that_a_reason_names_are_translated(contact: str, german: str) 
 
 
 def test_numbers_of_a_text_from_the_code_are_kept() -> None:
+    assert translated("stale (1 cycle)", "de") == "stale (1 Zyklus)"
+    assert translated("1 cycle, 0.01 s (2.0%)", "de") == "1 Zyklus, 0.01 s (2.0%)"
     assert translated("too few contacts: 2 of 3", "de") == "zu wenige Kontakte: 2 von 3"
     assert translated("correlation 0.7814 is below 0.95", "en") == "correlation 0.7814 is below 0.95"
     assert translated("never heard of", "de") is None

@@ -88,6 +88,7 @@ def test_cycle_has_the_verdict_of_its_worst_contact_point(order: int) -> None:
     summary.add(states_of(decision_on(*points[::order]), log_time_ns=0))
     assert summary.cycles == {Verdict.UNKNOWN: 1}
     assert summary.reasons == {"stale": 1}
+    assert ("UNKNOWN because", "stale (1 cycle)") in summary.lines()
     assert summary.tightest is not None
     assert summary.tightest.contact.margin == -0.1
 

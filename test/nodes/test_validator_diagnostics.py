@@ -56,7 +56,7 @@ def test_series_with_waiting_impacts_is_not_ok() -> None:
     validator = Validator(ValidatorSettings(contact_point="tool"))
     validator.add_impact(IMPACT, NOW)
     waiting = series(validator, "tool")
-    assert (waiting.level, waiting.message) == (DiagnosticStatus.WARN, "1 impacts wait for contact states")
+    assert (waiting.level, waiting.message) == (DiagnosticStatus.WARN, "waiting for contact states: 1 impact")
 
 
 def test_no_problem_hides_another_and_the_most_serious_one_comes_first() -> None:
@@ -64,7 +64,7 @@ def test_no_problem_hides_another_and_the_most_serious_one_comes_first() -> None
     validator.add_impact(IMPACT._replace(rebound=1, held_force=500.0), NOW)
     validator.add_impact(IMPACT, NOW)
     found = series(validator, undecodable=5000, unheard="2 publishers of /impact: must be one")
-    kinds = ("held force above a limit: 500.0 N of ", "2 publishers of /impact", "no contact states", "1 impacts wait")
+    kinds = ("held force above a limit: 500.0 N of ", "2 publishers of /impact", "no contact states", "waiting for")
     assert found.message.startswith(kinds[0])
     places = [found.message.index(kind) for kind in (*kinds, "5000 undecodable messages, the last one: bad")]
     assert places == sorted(places)

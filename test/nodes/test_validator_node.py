@@ -249,7 +249,7 @@ def test_impact_without_a_monitor_is_decided_after_its_wait(new_harness: Callabl
     node = ValidatorHarness(harness)
     node.impacts.publish(impact_message(impact(0, 300.0)))
     report = harness.diagnostic("validator: series", "not paired: no contact state", "1".__eq__)
-    assert "1 impacts could not be paired: no contact state; no contact states" in report
+    assert "1 impact could not be paired: no contact state; no contact states" in report
 
 
 @pytest.mark.parametrize(
