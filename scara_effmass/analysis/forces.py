@@ -402,7 +402,8 @@ class RecordedContacts:
     @property
     def force_text(self) -> str:
         """The force in one line."""
-        origin = "simulated, not measured" if self.simulated else "as recorded"
+        is_stated = "simulated" in self.source
+        origin = f"{'simulated, ' * (not is_stated)}not measured" if self.simulated else "as recorded"
         topic = f"{self.topic}: " if self.topic else ""
         return f"{topic}{self.samples} samples, {self.lost_samples} lost; {origin}: {self.source}"
 

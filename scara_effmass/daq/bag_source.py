@@ -208,7 +208,8 @@ class BagSource(ForceSource):
         self.sample_rate = self.requested_rate = block.sample_rate
         self.simulated = block.simulated
         source = f", of {block.source}" * bool(block.source)
-        self.description = f"recorded{', simulated' * self.simulated}: {bag.path.name}, {topic}{source}"
+        stated = ", simulated" * (self.simulated and "simulated" not in source)
+        self.description = f"recorded{stated}: {bag.path.name}, {topic}{source}"
         return block
 
     def _find_begin(self, now_ns: int) -> None:

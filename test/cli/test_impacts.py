@@ -136,6 +136,9 @@ def test_recordings_of_the_nodes_are_read(cli: Cli) -> None:
     bag = BAGS / "campaign" / "300_-200_2390g_1"
     (recording,) = json.loads(cli("impacts", bag, "--json").stdout)["recordings"]
     assert recording["simulated"]
+    (force,) = (line for line in cli("impacts", bag).stdout.splitlines() if line.startswith("force "))
+    assert force.count("simulated") == 1
+    assert "not measured" in force
     assert [contact["rebound"] for contact in recording["contacts"]] == list(range(len(recording["contacts"])))
     assert recording["contacts"][0]["peak_force_n"] == pytest.approx(406.0, abs=1.0)
 

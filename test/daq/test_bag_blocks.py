@@ -189,6 +189,9 @@ def test_simulated_block_makes_the_source_simulated(tmp_path: Path) -> None:
         assert [(source.read(0.0) is not None, source.simulated)[1] for _ in range(3)] == [False, True, True]
     with opened(write_blocks(tmp_path / "computed", [force_block(0, simulated=True)])) as source:
         assert (source.simulated, source.description) == (True, "recorded, simulated: computed, /force, of test")
+    block = force_block(0, simulated=True)._replace(source="simulated force: noise")
+    with opened(write_blocks(tmp_path / "noise", [block])) as source:
+        assert source.description == "recorded: noise, /force, of simulated force: noise"
 
 
 def test_truncated_bag_is_played_up_to_the_cut(tmp_path: Path) -> None:
