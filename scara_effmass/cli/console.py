@@ -208,6 +208,8 @@ def live_status(console: Console, *, visible: bool) -> Iterator[ShowStatus]:
 
 def _status_line(contact: ContactAssessment, time_s: float, speed_scaling: float) -> Text:
     text = Text(f"{time_s:6.1f} s  {contact.contact_point}: ", no_wrap=True)
-    text.append(f"{contact.speed_text}, {contact.effective_mass:6.3g} kg  ")
+    is_unknown = contact.verdict is Verdict.UNKNOWN
+    numbers = f"-.--- of 0.000 m/s, {'-':>6}" if is_unknown else f"{contact.speed_text}, {contact.effective_mass:6.3g}"
+    text.append(f"{numbers} kg  ")
     text.append(f"{contact.verdict.name:<9}", VERDICT_STYLES[contact.verdict])
     return text.append(f"  scaling {at_most(speed_scaling, 2)}")

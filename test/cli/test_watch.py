@@ -12,12 +12,14 @@ import sys
 import termios
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, closing, suppress
+from io import StringIO
 from pathlib import Path
 
 import pytest
 from rich.console import Console
 
 from scara_effmass.cell.status import CellStatus, Validation
+from scara_effmass.cli.console import live_status
 from scara_effmass.cli.displays import screen
 from scara_effmass.codes import Reason
 from scara_effmass.safety import unknown_contact
@@ -249,3 +251,11 @@ def test_watch_ends_by_a_signal_while_its_terminal_stands_still(harness: NodeHar
         harness.spin_until(terminal.is_full)  # as after Ctrl-S: nobody reads
         os.kill(terminal.process.pid, signal.SIGTERM)
         assert terminal.process.wait(20) == 128 + signal.SIGTERM
+
+
+def test_live_line_shows_no_speed_and_no_mass_while_they_are_unknown() -> None:
+    text = StringIO()
+    console = Console(file=text, width=80)
+    with live_status(console, visible=True) as show:
+        show(decision_on(unknown_contact("tool", "stale")), 1.5)
+    assert " ".join(text.getvalue().split()) == "1.5 s tool: -.--- of 0.000 m/s, - kg UNKNOWN scaling 0.00"
