@@ -124,12 +124,14 @@ def contact_text(contact: ContactAssessment) -> str:
 
 def contact_status(contact: ContactAssessment, changes: int, input_age: float) -> DiagnosticStatus:
     """Return the status of a contact point; `changes` counts those of its verdict."""
+    numbers = at_least(contact.speed, 4), at_most(contact.margin, 4), f"{contact.effective_mass:.4g}"
+    speed, margin, mass = numbers if contact.verdict is not Verdict.UNKNOWN else ("unknown",) * 3
     values = {
         "verdict": contact.verdict.name,
-        "speed [m/s]": at_least(contact.speed, 4),
+        "speed [m/s]": speed,
         "allowable speed [m/s]": at_most(contact.allowable_speed, 4),
-        "margin [m/s]": at_most(contact.margin, 4),
-        "effective mass [kg]": f"{contact.effective_mass:.4g}",
+        "margin [m/s]": margin,
+        "effective mass [kg]": mass,
         "mass model": contact.mass_model_text,
         "body region": contact.body_region,
         "criterion": contact.criterion,

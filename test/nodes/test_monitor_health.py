@@ -31,6 +31,12 @@ def test_unknown_is_an_error() -> None:
     assert contact_status(decision.worst, 0, 0.0).level == DiagnosticStatus.ERROR
 
 
+def test_numbers_of_an_unknown_contact_are_unknown() -> None:
+    values = {pair.key: pair.value for pair in contact_status(unknown_contact("tool", ""), 0, 0.0).values}
+    assert (values["speed [m/s]"], values["margin [m/s]"], values["effective mass [kg]"]) == ("unknown",) * 3
+    assert float(values["allowable speed [m/s]"]) == 0.0
+
+
 def test_joints_without_rotor_inertia_are_a_warning() -> None:
     status, values = status_of(MonitorSettings())
     assert status.level == DiagnosticStatus.WARN
