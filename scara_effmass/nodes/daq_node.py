@@ -226,7 +226,7 @@ class DaqNode(LifecycleBase[NodeSettings]):
     def _statuses(self) -> list[DiagnosticStatus]:
         if self._acquisition is None:
             return []
-        detections = [(output.detector, output.impacts) for output in self._outputs]
+        detections = [(output.detector, output.impacts, output.rebounds) for output in self._outputs]
         return daq_statuses(self._acquisition, self._signal, detections)
 
     def _reset(self) -> str:
@@ -257,7 +257,7 @@ class _Output:
     def reset(self) -> None:
         """Restart the impact detection."""
         self.detector = Detector(self._settings.detection)
-        self.impacts = 0
+        self.impacts = self.rebounds = 0
 
     def publish(self, blocks: Sequence[values.ForceBlock]) -> None:
         """Publish the blocks and the wrenches of their samples."""
@@ -269,7 +269,8 @@ class _Output:
 
     def publish_impacts(self, impacts: Sequence[values.Impact]) -> None:
         """Count detected impacts and publish the first one; the others wait for `publish_waiting`."""
-        self.impacts += len(impacts)
+        rebounds = sum(impact.rebound > 0 for impact in impacts)
+        self.impacts, self.rebounds = self.impacts + len(impacts) - rebounds, self.rebounds + rebounds
         with self._lock:
             is_idle = not self.waiting
             self.waiting = sorted([*self.waiting, *impacts], key=lambda impact: impact.rebound > 0)
@@ -306,9 +307,9 @@ def impact_text(impact: values.Impact) -> str:
 
 
 def daq_statuses(
-    acquisition: Acquisition, signal: SignalConditioner, detections: Iterable[tuple[Detector, int]]
+    acquisition: Acquisition, signal: SignalConditioner, detections: Iterable[tuple[Detector, int, int]]
 ) -> list[DiagnosticStatus]:
-    """Return the statuses of the source and of each channel, whose `detections` are detector and number of impacts."""
+    """Return the statuses of the source and of each channel, whose `detections` are detector, impacts and rebounds."""
     statuses = [_source_status(acquisition, signal)]
     statuses += [_channel_status(channel, *item) for channel, item in zip(signal.channels, detections, strict=True)]
     for entry in statuses:
@@ -355,7 +356,7 @@ def _source_status(acquisition: Acquisition, signal: SignalConditioner) -> Diagn
     return status("source", message, values, problem=problem, level=None if problem else level)
 
 
-def _channel_status(channel: ForceChannel, detector: Detector, impacts: int) -> DiagnosticStatus:
+def _channel_status(channel: ForceChannel, detector: Detector, impacts: int, rebounds: int) -> DiagnosticStatus:
     problem, level = "", None
     if channel.lost and not channel.samples:
         problem, level = f"no usable sample, {channel.lost} lost", DiagnosticStatus.ERROR
@@ -380,6 +381,7 @@ def _channel_status(channel: ForceChannel, detector: Detector, impacts: int) -> 
         "tare refused": channel.tare_problem,
         "baseline known": detector.settled,
         "impacts": impacts,
+        "rebounds": rebounds,
         "drop-outs": detector.dropouts,
         "glitches": detector.glitches,
         "sustained contacts": detector.sustained_contacts,
@@ -387,7 +389,8 @@ def _channel_status(channel: ForceChannel, detector: Detector, impacts: int) -> 
     }
     for item in detector.left_out:
         values[f"left out: {item.reason}"] = f"{item.occurrences}, up to {item.peak_force:.1f} N"
-    return status(f"channel {channel.name}", impact_count(impacts), values, problem=problem, level=level)
+    message = f"{impact_count(impacts)}, rebounds: {rebounds}"
+    return status(f"channel {channel.name}", message, values, problem=problem, level=level)
 
 
 main = partial(run, "daq", DaqNode)

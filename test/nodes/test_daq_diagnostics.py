@@ -21,7 +21,7 @@ WAIT_S = 20.0
 
 
 def statuses(acquisition: Acquisition, signal: SignalConditioner, settings: DaqSettings) -> list[DiagnosticStatus]:
-    return daq_statuses(acquisition, signal, [(Detector(settings.detection), 0)])
+    return daq_statuses(acquisition, signal, [(Detector(settings.detection), 1, 4)])
 
 
 def test_channel_status_has_the_filter_delay_of_the_blocks() -> None:
@@ -32,6 +32,7 @@ def test_channel_status_has_the_filter_delay_of_the_blocks() -> None:
     both = statuses(Acquisition(source, settings, lambda: None), signal, settings)
     assert {status.hardware_id for status in both} == {source.description}
     _, channel = both
+    assert channel.message == "1 impact, rebounds: 4"
     values = {pair.key: pair.value for pair in channel.values}
     ((block,),) = signal.blocks(Reading(0, np.zeros((1, 100)), 0, 0))
     source.close()
