@@ -144,7 +144,7 @@ def expect_narrow_layout(page: Page) -> Locator:
     """Narrow the page and print it: no text is squeezed or cut, and a print has a date; return the row of a contact."""
 
     def size(place: Locator, name: str) -> int:  # 0 where an update has just replaced it
-        return next(filter(None, iter(partial(place.evaluate, f"place => place.{name}"), None)))
+        return int(next(filter(None, iter(partial(place.evaluate, f"place => place.{name}"), None))))
 
     page.set_viewport_size({"width": 768, "height": 1024})
     page.wait_for_function("document.documentElement.scrollWidth == 768")  # the plots follow their observers
