@@ -12,8 +12,10 @@ import pytest
 from scara_effmass.codes import Reason
 from scara_effmass.errors import KernelError
 from scara_effmass.kernel import compiled
+from scara_effmass.kernel.admission import admit
 from scara_effmass.kernel.contact_kernel import ContactKernel
 from scara_effmass.kernel.records import CONTACT, ByteArray
+from scara_effmass.kernel.settle import settle
 from scara_effmass.model.load import load_robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
@@ -116,12 +118,13 @@ def test_compiling_leaves_no_trace() -> None:
     assert compiled.rejected == fresh.rejected
 
 
-def test_kernel_that_cannot_be_compiled_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("step", [admit, ContactKernel, settle])
+def test_kernel_that_cannot_be_compiled_says_why(monkeypatch: pytest.MonkeyPatch, step: object) -> None:
     def fail(*_: object) -> None:
         raise OSError("the cache is damaged")
 
     monitor = new_monitor()
-    monkeypatch.setattr(ContactKernel, "bind", fail)
+    monkeypatch.setattr(step, "bind", fail)
     with pytest.raises(KernelError, match=r"does not run: OSError\('the cache is damaged'\): set use_reference"):
         monitor.compile()
 
