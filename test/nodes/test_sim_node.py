@@ -83,5 +83,37 @@ def test_cell_that_stood_still_goes_on_in_short_steps(
     node.destroy_node()
 
 
+@pytest.mark.usefixtures("default_context")
+def test_simulated_time_stands_still_while_the_steady_clock_does(
+    own_domain: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    node, executor = SimNode(), EventsExecutor()
+    node.set_parameters([Parameter("clock", value=True)])
+    executor.add_node(node)
+    clock: list[Clock] = []
+    states: list[JointState] = []
+    with ros_node("tester", domain=own_domain) as tester:
+        receiver = SingleThreadedExecutor(context=tester.context)
+        receiver.add_node(tester)
+        tester.create_subscription(JointState, "joint_states", states.append, DEEP_QOS)
+        tester.create_subscription(Clock, "/clock", clock.append, DEEP_QOS)
+
+        def has_published(count: int) -> bool:
+            for _ in range(5):
+                receiver.spin_once(timeout_sec=0.0)
+            return len(clock) >= count and bool(states)
+
+        node.bring_up()
+        spin_for(executor, TIMEOUT_S, lambda: has_published(1))
+        steady_ns = time.monotonic_ns()
+        monkeypatch.setattr(sim_node, "time", SimpleNamespace(monotonic_ns=lambda: steady_ns))
+        count = len(clock)
+        spin_for(executor, TIMEOUT_S, lambda: has_published(count + 50))
+        assert clock[-1] == clock[-20]
+        receiver.shutdown()
+    executor.shutdown()
+    node.destroy_node()
+
+
 def test_simulated_cell_does_not_catch_up_with_years(refusal_of: Callable[..., str]) -> None:
     assert refusal_of(SimNode, "start:=1.0") == "sim: start = 1.0: must be at most 60 s ago"
