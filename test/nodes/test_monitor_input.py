@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Invalid joint states give UNKNOWN in the live monitor, and the next valid one gives OK."""
 
+import os
+import re
+import signal
 import struct
 import time
 from collections.abc import Callable
@@ -169,6 +172,20 @@ def test_joint_states_of_another_device_are_counted_and_ignored(harness: NodeHar
     assert (last.verdict, after.verdict) == (ContactState.OK, ContactState.OK)
     assert [contact.verdict for contact in harness.contact_states] == [ContactState.OK]
     assert harness.diagnostic("input", "of other devices", lambda value: value == "3")
+
+
+def test_joint_states_skipped_under_overload_are_counted_and_told(new_harness: Callable[..., NodeHarness]) -> None:
+    harness = new_harness("--ros-args", "-p", "timeout:=0.5")
+    harness.subscribe_until_ok()
+    received = int(harness.diagnostic("input", "received", bool).split()[-1])
+    assert harness.process is not None
+    os.kill(harness.process.pid, signal.SIGSTOP)
+    for _ in range(50):
+        harness.send(joint_state(time.time_ns() - S))
+    os.kill(harness.process.pid, signal.SIGCONT)
+    told = harness.diagnostic("input", "skipped", lambda count: int(count) > 0)
+    assert re.fullmatch(r"overload: (\d+) joint states were skipped for newer ones \| \1", told)
+    assert harness.diagnostic("input", "received", lambda count: int(count) == received + 50)
 
 
 def test_joint_that_moves_outside_the_model_gives_unknown(harness: NodeHarness) -> None:
