@@ -18,6 +18,7 @@ from lifecycle_msgs.msg import Transition
 from rcl_interfaces.msg import Log
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.serialization import serialize_message
 from scara_effmass_msgs.msg import ContactState, ContactStates
 
 from scara_effmass.cell.scaled_trajectory import ScaledTrajectory
@@ -122,6 +123,35 @@ def test_node_that_falls_behind_takes_the_newest_contact_states(new_harness: Cal
     node.diagnostic("speed scaling", "skipped contact states", lambda count: int(count) > 0)
     node.spin_until(lambda: factors[-1] == 1.0, repeat=send)
     assert node.diagnostic("speed scaling", "lost contact states", bool).endswith("| 0")
+
+
+def test_contact_states_that_cannot_be_decoded_stop_the_robot_until_the_next_ones(
+    new_harness: Callable[..., NodeHarness],
+) -> None:
+    """Long before their silence would."""
+    node = new_harness(name="speed_scaling")
+    node.start("--ros-args", "-p", "timeout:=60.0", "-p", "rise_rate:=20.0", command=(str(NODE),))
+    factors: list[float] = []
+
+    def on_factor(message: SpeedScalingFactor) -> None:
+        factors.append(message.factor)
+
+    node.node.create_subscription(SpeedScalingFactor, SPEED_SCALING_INPUT, on_factor, CONTROLLER_QOS)
+    publisher = node.node.create_publisher(ContactStates, "contact_states", qos_profile(verdict_qos(60.0)))
+    number = 0
+
+    def send(*, is_cut: bool = False) -> None:
+        nonlocal number
+        number += 1
+        contact = ContactState(contact_point="tool", verdict=ContactState.OK, allowable_speed=1.0)
+        message = ContactStates(contacts=[contact], sequence_number=number, **ALLOWED)
+        message.header.stamp = node.node.get_clock().now().to_msg()
+        publisher.publish(serialize_message(message)[:-40] if is_cut else message)
+
+    node.spin_until(lambda: factors and factors[-1] == 1.0, repeat=send)
+    send(is_cut=True)
+    node.spin_until(lambda: factors[-1] == 0.0)
+    node.spin_until(lambda: factors[-1] == 1.0, repeat=send)
 
 
 LATENCY_S = 0.03
