@@ -123,6 +123,9 @@ def test_node_that_falls_behind_takes_the_newest_contact_states(new_harness: Cal
     node.diagnostic("speed scaling", "skipped contact states", lambda count: int(count) > 0)
     node.spin_until(lambda: factors[-1] == 1.0, repeat=send)
     assert node.diagnostic("speed scaling", "lost contact states", bool).endswith("| 0")
+    number += 7
+    send()
+    node.diagnostic("speed scaling", "lost contact states", lambda count: count == "7")
 
 
 def test_contact_states_that_cannot_be_decoded_stop_the_robot_until_the_next_ones(
