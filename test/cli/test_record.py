@@ -17,6 +17,8 @@ from rclpy.qos import QoSProfile
 from std_msgs.msg import String
 
 from scara_effmass.bags.files import open_bag
+from scara_effmass.bags.recorder import BagRecorder
+from scara_effmass.nodes.record import RecordReport
 from test.cli.conftest import Cli, Refused
 from test.forked import Forked
 from test.nodes.conftest import TIMEOUT_S, ros_node
@@ -168,6 +170,16 @@ def test_existing_bag_is_replaced_only_with_force(cli_process: Cli, swing_bag: P
     assert (process.returncode, process.stderr) == (0, "")
     assert re.match(r"total           0 messages, 0 lost, 0\.0 MB in 1 file, \d+\.\d s: ", process.stdout)
     assert sorted(path.name for path in bag.iterdir()) == ["metadata.yaml", "swing_0.mcap"]
+
+
+def test_lost_messages_are_told_and_give_exit_code_1(cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with BagRecorder(tmp_path / "bag") as recorder:
+        recorder.count_lost_by_middleware(recorder.add_topic("/notes", "std_msgs/msg/String"), 3)
+    report = RecordReport(recorder.report(), 1.0, simulated_time=False, refused={}, unpublished=())
+    monkeypatch.setattr("scara_effmass.nodes.record.record", lambda *_, **__: report)
+    done = cli("record", "-o", tmp_path / "bag")
+    assert (done.returncode, done.stderr) == (1, "record: 3 of 3 messages were lost: /notes: 3 by the middleware\n")
+    assert "0 messages, 3 lost" in done.stdout
 
 
 def test_file_that_cannot_be_repaired_gives_exit_code_1(cli_process: Cli, swing_bag: Path, tmp_path: Path) -> None:
