@@ -342,6 +342,14 @@ def test_node_outputs_are_replayed_only_on_request(tmp_path: Path) -> None:
     assert report.skipped["/joint_states"] == "not selected"
 
 
+def test_bag_without_a_topic_to_replay_is_refused_with_the_reasons(tmp_path: Path) -> None:
+    path = tmp_path / "bag"
+    with BagWriter(path) as writer:
+        writer.write("/clock", "rosgraph_msgs/msg/Clock", START_NS, serialize_message(Clock()))
+    with pytest.raises(SettingsError, match=r"nothing to replay: /clock: the replay publishes its own clock"):
+        play(path)
+
+
 def test_selected_topic_is_published_as_joint_states(tmp_path: Path) -> None:
     path = tmp_path / "bag"
     with BagWriter(path) as writer:
