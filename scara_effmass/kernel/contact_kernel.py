@@ -26,8 +26,8 @@ from scara_effmass.kernel.records import (
 from scara_effmass.model.lumping import is_scara, lumped_suffices
 from scara_effmass.model.robot import Robot
 from scara_effmass.reference import RobotDynamics
+from scara_effmass.reference.dynamics import ContactPoint
 from scara_effmass.reference.hull import hull_mobility
-from scara_effmass.reference.pose_state import ContactPoint
 from scara_effmass.settings import ContactType, Drives, MonitorSettings
 from scara_effmass.values import ZERO_VECTOR, FloatArray, Vector3
 

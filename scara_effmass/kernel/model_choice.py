@@ -14,7 +14,7 @@ from scara_effmass.kernel.contact_point import Approach, mobility_of
 from scara_effmass.kernel.mobility import along, inverse, is_bounded, is_definite, smallest_eigenvalue
 from scara_effmass.kernel.records import Setup, Work
 from scara_effmass.kernel.spatial import dot, vector_at
-from scara_effmass.reference.pose_state import MIN_LEVER_M
+from scara_effmass.reference.dynamics import MIN_LEVER_M
 from scara_effmass.values import NO_MOBILITY, Mobility6, Vector3
 
 

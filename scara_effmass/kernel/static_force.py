@@ -12,7 +12,7 @@ from scara_effmass.kernel.contact_point import Approach
 from scara_effmass.kernel.pose_change import mass_matrix
 from scara_effmass.kernel.records import Case, Mobility, Setup, Work
 from scara_effmass.kernel.spatial import add, cross, dot, norm, scale, symmetric_product, vector, vector_at
-from scara_effmass.reference.pose_state import EFFORT_ROUNDING, MIN_LEVER_M, SINGULAR_ROUNDING
+from scara_effmass.reference.dynamics import EFFORT_ROUNDING, MIN_LEVER_M, SINGULAR_ROUNDING
 from scara_effmass.values import Vector3
 
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Effective mass of a serial robot at a contact point. Pure; SI units.
 
-`lumping` builds the simplified model; the formula (Eqs. 3-14) is in `reference.pose_state`, the closed forms of the
+`lumping` builds the simplified model; the formula (Eqs. 3-14) is in `reference.dynamics`, the closed forms of the
 SCARA are in `studies.scara`.
 "Eq. N", "Fig. N" and "Table N" are those of the paper cited in README.md and CITATION.cff, an article on the effective
 mass and the impact force of an Omron i4-550L SCARA. The operational space formulation behind it: O. Khatib, "A unified

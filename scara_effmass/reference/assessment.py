@@ -25,11 +25,10 @@ from scara_effmass.iso15066.allowable_speed import (
 from scara_effmass.iso15066.contact import MAX_TURN, peak_force, reduced_mass, transferred_energy, turn_until_peak
 from scara_effmass.iso15066.limits import Limit
 from scara_effmass.model.lumping import is_scara, lumped_suffices
-from scara_effmass.reference.dynamics import RobotDynamics
+from scara_effmass.reference.dynamics import X_AXIS, ContactState, RobotDynamics
 from scara_effmass.reference.hull import hull_mobility
 from scara_effmass.reference.mobility import Acceleration, Mobility, is_bounded
 from scara_effmass.reference.person import MIN_PERSON_SPEED, MovingPerson
-from scara_effmass.reference.pose_state import X_AXIS, ContactState
 from scara_effmass.reference.speed_limit import DrivePush, speed_limit
 from scara_effmass.settings import ContactType, Drives, MassModel, MonitorSettings
 from scara_effmass.values import NO_MOBILITY, ZERO_VECTOR, FloatArray, Mobility6, Vector3, Verdict

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The paper's robot as functions of q1 and q2: closed forms of its models (Eqs. 27, 28, 30), poses, distributions.
 
-Vectorised and independent of Pinocchio: the test oracle of `reference.pose_state`, not used for verdicts. Angles in
+Vectorised and independent of Pinocchio: the test oracle of `reference.dynamics`, not used for verdicts. Angles in
 [rad], lengths in [m], masses in [kg]; arguments broadcast. phi is the angle of the normal n = (cos phi, sin phi, 0) to
 the base x axis. The results do not depend on q3, q4 and R_x. The paper is cited in `scara_effmass.model`.
 """

@@ -25,7 +25,7 @@ from scara_effmass.kernel.state import CODE, STATE
 from scara_effmass.model.load import load_robot
 from scara_effmass.model.robot import Robot
 from scara_effmass.reference import RobotDynamics
-from scara_effmass.reference.pose_state import ContactState
+from scara_effmass.reference.dynamics import ContactState
 from scara_effmass.safety import Monitor
 from scara_effmass.safety.second_channel import AGREEMENT, CANCELLED, SINGULAR, ReferenceChannel, is_unbounded
 from scara_effmass.settings import ContactType, Drives, MonitorSettings

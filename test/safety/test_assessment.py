@@ -17,8 +17,8 @@ from scara_effmass.iso15066 import BODY_REGIONS, Limit, contact_cases, limits_fo
 from scara_effmass.kernel.admission import METRES_PER_RADIAN, WINDOW_S
 from scara_effmass.model.load import load_robot
 from scara_effmass.reference import ContactState, RobotDynamics
+from scara_effmass.reference.dynamics import X_AXIS
 from scara_effmass.reference.mobility import Mobility, PoseChange
-from scara_effmass.reference.pose_state import X_AXIS
 from scara_effmass.reference.speed_limit import DrivePush, speed_limit
 from scara_effmass.safety import Monitor
 from scara_effmass.settings import ContactType, Drives, MassModel, MonitorSettings
