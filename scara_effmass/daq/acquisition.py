@@ -195,7 +195,7 @@ class Acquisition:
         if self._thread is not None:
             raise RuntimeError("an acquisition can start only once")
         self.source.start()
-        self._first_setup = (self.source.channels, self.source.sample_rate)
+        self._first_setup = self._setup()
         self._latency = ReadLatency(self.source.sample_rate)
         self._due_ns = self._steady_ns()
         self.state = AcquisitionState.RUNNING
@@ -304,14 +304,18 @@ class Acquisition:
             except DaqError as next_error:
                 error = next_error
                 continue
-            setup = (self.source.channels, self.source.sample_rate)
-            if setup != self._first_setup:
+            if (setup := self._setup()) != self._first_setup:
                 raise DeviceMissingError(f"the device came back as {setup}: must be {self._first_setup}")
             with self._lock:
                 self._run += 1
                 self._run_first = None
                 self._latency = ReadLatency(self.source.sample_rate)
             return
+
+    def _setup(self) -> str:
+        """Return what the blocks of an acquisition state once for all: device, rate and range."""
+        source = self.source
+        return f"{source.description} ({source.sample_rate:.9g} Hz, up to {source.limit:g} N)"
 
     def _set_state(self, state: AcquisitionState, reason: str = "") -> None:
         with self._lock:

@@ -315,7 +315,15 @@ def test_stop_ends_the_wait_for_a_lost_device() -> None:
         assert acquisition.failure is None
 
 
-def test_device_with_another_rate_is_refused() -> None:
+@pytest.mark.parametrize(
+    ("name", "value", "text"),
+    [
+        ("sample_rate", 2000.0, "a script (2000 Hz, up to inf N): must be a script (1000 Hz, up to inf N)"),
+        ("limit", 500.0, "a script (1000 Hz, up to 500 N): must be a script (1000 Hz, up to inf N)"),
+        ("description", "NI 9234", "NI 9234 (1000 Hz, up to inf N): must be a script (1000 Hz, up to inf N)"),
+    ],
+)
+def test_another_device_in_the_place_of_the_first_is_refused(name: str, value: object, text: str) -> None:
     source = Scripted([(0, BLOCK), DeviceLostError("unplugged")])
     source.script.append((0, BLOCK))
     acquisition, notifications = make_acquisition(source)
@@ -323,14 +331,14 @@ def test_device_with_another_rate_is_refused() -> None:
 
     def start_changed() -> None:
         starts()
-        source.sample_rate = 2000.0 if len(source.calls) > 1 else RATE
+        if len(source.calls) > 1:
+            setattr(source, name, value)
 
     source.start = start_changed  # type: ignore[method-assign]
     acquisition.start()
     notifications.until(is_over(acquisition))
     assert isinstance(acquisition.failure, DeviceMissingError)
-    assert "2000.0" in str(acquisition.failure)
-    assert "1000.0" in str(acquisition.failure)
+    assert str(acquisition.failure) == f"the device came back as {text}"
     acquisition.stop()
 
 
