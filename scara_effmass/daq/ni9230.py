@@ -177,12 +177,11 @@ class Ni9230Source(ForceSource):
             return None
         stream = self._task.in_stream
         try:
-            overloaded = stream.overloaded_chans if stream.overloaded_chans_exist else ()
+            rows = np.isin(self._task.channel_names, stream.overloaded_chans if stream.overloaded_chans_exist else ())
         except errors.Error:
             # Not every module detects overload. If the device is lost instead, the next read raises.
             self._detects_overload = False
             return None
-        rows = np.isin(self._task.channel_names, overloaded)
         if not rows.any():
             return None
         at_limit = np.abs(samples) >= self.limit

@@ -176,6 +176,7 @@ class NiDevice(BaseInterpreter):  # type: ignore[misc]  # untyped
 
     def get_task_attribute_string(self, task: int, attribute: int) -> str:
         ni_task = self._known(task)
+        self._check("get_task_attribute_string")
         names = [channel["name"] for channel in ni_task.channels]
         return {
             0x1276: ni_task.name,

@@ -377,6 +377,16 @@ def test_module_without_overload_detection_is_read(ni_device: NiDevice, started:
     assert ni_device.overload_queries == 1
 
 
+def test_device_lost_after_an_overload_is_lost_at_the_next_read(ni_device: NiDevice, started: Open) -> None:
+    source = started()
+    ni_device.overloaded = {"cDAQ1Mod1/ai0"}
+    ni_device.fail("get_task_attribute_string", -88709)
+    assert got(source.read(1.0)).first_sample == 0
+    ni_device.reset()
+    with pytest.raises(DeviceLostError):
+        source.read(1.0)
+
+
 def test_lost_device_is_closed(ni_device: NiDevice, started: Open) -> None:
     source = started()
     ni_device.fail("clear_task", -201003)
