@@ -285,7 +285,7 @@ def test_device_that_was_never_connected_is_missing(ni_device: NiDevice, make: O
         make().start()
 
 
-@pytest.mark.parametrize("code", [-88709, -88710, -200088, -50405])
+@pytest.mark.parametrize("code", [-88709, -88710, -200088, -200194, -50405, -50413, -50803, -50808])
 def test_reset_device_is_lost(code: int, ni_device: NiDevice, started: Open) -> None:
     source = started()
     ni_device.fail("read_analog_f64", code)
