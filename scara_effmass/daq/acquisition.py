@@ -18,6 +18,9 @@ from scara_effmass.wire.cdr import NS
 LATENCY_WINDOW_S = 10.0
 """Time over which the latency is determined; two clocks that differ by 100 ppm drift by 1 ms meanwhile."""
 
+ANSWER_TIMEOUTS = 2.0
+"""A call of the source that takes longer than so many timeouts of a read hangs, as in a driver."""
+
 
 class AcquisitionState(Enum):
     """Current acquisition state."""
@@ -179,6 +182,8 @@ class Acquisition:
         self.state, self._reason = AcquisitionState.IDLE, ""
         self.failure: Exception | None = None
         """Error that ended the acquisition."""
+        self._called_ns: int | None = None
+        """Steady time at which `source` was called for samples; None when it has answered."""
         self._samples_read = self._samples_lost = 0
         self._latency = ReadLatency(0.0)
         """That of this run; without reads for a recording, and before `start`."""
@@ -215,9 +220,13 @@ class Acquisition:
         """Return the state and the counts."""
         with self._lock:
             p50_s, max_s = self._latency.latencies()
+            state, reason = self.state, self._reason
+            if state is AcquisitionState.RUNNING and self._is_overdue():
+                state = AcquisitionState.WAITING
+                reason = f"the source has not answered for more than {ANSWER_TIMEOUTS * self._timeout_s:g} s"
             return AcquisitionStatistics(
-                state=self.state,
-                reason=self._reason,
+                state=state,
+                reason=reason,
                 samples_read=self._samples_read,
                 samples_dropped=self._queue.dropped_samples,
                 samples_lost=self._samples_lost,
@@ -252,11 +261,15 @@ class Acquisition:
 
     def _read_all(self) -> AcquisitionState:
         while not self._stopping.is_set():
+            with self._lock:
+                self._called_ns = self._steady_ns()
             try:
                 reading = self.source.read(self._timeout_s)
             except (DeviceLostError, OverrunError) as error:
                 self._restart(error)
                 continue
+            with self._lock:
+                self._called_ns = None
             if reading is not None:
                 self._add(reading, self._steady_ns())
             elif self._stopping.is_set():
@@ -311,6 +324,10 @@ class Acquisition:
                 self._run_first = None
                 self._latency = ReadLatency(self.source.sample_rate)
             return
+
+    def _is_overdue(self) -> bool:
+        timeout_s = ANSWER_TIMEOUTS * self._timeout_s
+        return self._called_ns is not None and self._steady_ns() - self._called_ns > timeout_s * NS
 
     def _setup(self) -> str:
         """Return what the blocks of an acquisition state once for all: device, rate and range."""

@@ -342,6 +342,33 @@ def test_another_device_in_the_place_of_the_first_is_refused(name: str, value: o
     acquisition.stop()
 
 
+@pytest.mark.parametrize("last", [None, DaqError("no current")])
+def test_driver_that_hangs_in_a_read_or_after_an_error_is_stated(last: DaqError | None) -> None:
+    hangs, answers = threading.Event(), threading.Event()
+    source = Scripted([(0, BLOCK)], ends=False)
+
+    def hang() -> None:
+        hangs.set()
+        answers.wait(WAIT_S)
+
+    source.script.extend([hang, (0, BLOCK)] if last is None else [last])
+    close = source.close
+    if last is not None:
+        source.close = lambda: (hang(), close())[1]  # type: ignore[method-assign]
+    with running(source) as (acquisition, notifications):
+        assert hangs.wait(WAIT_S)
+        before = acquisition.statistics()
+        source.steady_ns += 3 * NS
+        during = acquisition.statistics()
+        answers.set()
+        notifications.until(lambda: acquisition.statistics().state is not AcquisitionState.WAITING)
+        after = acquisition.statistics()
+    assert (before.state, before.reason) == (AcquisitionState.RUNNING, "")
+    assert (during.state, during.samples_read) == (AcquisitionState.WAITING, 100)
+    assert during.reason == "the source has not answered for more than 2.4 s"
+    assert after.state is (AcquisitionState.FAILED if last else AcquisitionState.RUNNING)
+
+
 @pytest.mark.parametrize("fault", [DaqError("current source broken"), ZeroDivisionError("a bug"), KeyError()])
 def test_other_error_is_the_failure(fault: Exception) -> None:
     source = Scripted([(0, BLOCK), fault, (0, BLOCK)])
