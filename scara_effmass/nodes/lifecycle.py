@@ -82,6 +82,8 @@ _SETTLE_S = 0.2
 _POLL_S = 0.01
 _LOADING_S = 1.0
 """Time for which a signal lets a node go on loading."""
+_END_S = 8.0
+"""Time for which a signal lets a node end; `ros2 launch` kills it after 10 s."""
 _EXIT_BY_SIGNAL = 128
 """What a shell adds to the number of the signal that ended a process."""
 _STDERR_WAIT_S = 1.0
@@ -476,6 +478,8 @@ class _Spin:
         self._has_begun = False
         self.loaded = threading.Event()
         """Set when the node has been loaded, or will not be."""
+        self.ended = threading.Event()
+        """Set when what the node used has been released."""
         self._end: Future = Future()
 
     def run(self, executor: Executor) -> None:
@@ -490,14 +494,14 @@ class _Spin:
     def end(self, number: int) -> None:
         """End `run` at the signal `number`. If it has not begun, shut the context down, which ends the start.
 
-        A node that loads does not notice it: end the process after a while.
+        A node that loads, or hangs in a driver, does not notice it: end the process after a while.
         """
         with self._lock:
             if self._has_begun:
                 self._end.set_result(None)
             else:
                 rclpy.try_shutdown()
-        if not self.loaded.wait(_LOADING_S):
+        if not (self.loaded.wait(_LOADING_S) and self.ended.wait(_END_S)):
             os._exit(_EXIT_BY_SIGNAL + number)
 
 
@@ -588,13 +592,16 @@ def _use_thread_priority(node: AnyNode) -> None:
 def _end(node: AnyNode | None, executor: Executor | None, spin: _Spin) -> None:
     """Destroy what `run` created."""
     spin.loaded.set()
-    if node is not None:
-        node.deactivate()  # its threads must not wake the executor after its shutdown
-    if executor is not None:
-        executor.shutdown()
-    if node is not None:
-        node.destroy_node()
-    rclpy.try_shutdown()
+    try:
+        if node is not None:
+            node.deactivate()  # its threads must not wake the executor after its shutdown
+        if executor is not None:
+            executor.shutdown()
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+    finally:
+        spin.ended.set()
 
 
 def _init(arguments: list[str]) -> None:

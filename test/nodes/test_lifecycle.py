@@ -168,6 +168,28 @@ raise SystemExit(main([]))
 
 
 @pytest.mark.live
+@pytest.mark.parametrize("call", ["read", "close"])
+def test_signal_ends_a_node_whose_driver_hangs(own_domain: int, call: str) -> None:
+    script = f"""
+import threading
+from scara_effmass.daq.sim_source import SimSource
+from scara_effmass.nodes import lifecycle
+from scara_effmass.nodes.daq_node import main
+
+lifecycle._END_S = 0.2
+SimSource.{call} = lambda *_: threading.Event().wait(600)
+lifecycle.LifecycleBase.bring_up = lambda self, up=lifecycle.LifecycleBase.bring_up: (up(self), print("up", flush=True))
+raise SystemExit(main(["--ros-args", "-p", "source:=sim"]))
+"""
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(own_domain)}
+    with subprocess.Popen([sys.executable, "-c", script], env=environment, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"up\n"
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(60.0) == 143
+
+
+@pytest.mark.live
 def test_node_refuses_with_status_2_although_its_streams_are_closed(own_domain: int) -> None:
     environment = {**os.environ, "ROS_DOMAIN_ID": str(own_domain)}
     command = f"exec {Path(sys.executable).with_name('daq_node')} --ros-args -p source:=nope <&- >&- 2>&-"
