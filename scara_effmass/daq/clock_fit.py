@@ -60,8 +60,9 @@ class ClockFit:
         """Uncertainty of a stamp [s]: in nine of ten seconds, the earliest read deviates from the fit by less.
 
         At first it is at least 10 ms divided by the number of reads, and at least the median delay of the reads.
-        After a jump it starts at the size of the jump and falls by a factor of e per read. The part by which the fit
-        must still move back is added.
+        After a jump it starts at the size of the jump and falls by a factor of e per read. While consecutive reads are
+        late by the same amount, as after a jump ahead, it is at least this amount. The part by which the fit must still
+        move back is added.
         """
         self.restarts = 0
         """How often a settled fit restarted because a clock had jumped."""
@@ -167,6 +168,8 @@ class ClockFit:
         unsettled_s = max(START_UNCERTAINTY_S / self._reads, self._jump_s * math.exp(1 - self._reads))
         if len(self._bins) < OFFSET_BINS:
             unsettled_s = max(unsettled_s, median(self._first_y) - self._offset())
+        if self._late_reads > 1:  # a jump, or a host that has become slow: not known before JUMP_TIME_S
+            unsettled_s = max(unsettled_s, self._late_s)
         self.residual = max(self._scatter, unsettled_s) + behind_ns / 1e9
 
 

@@ -227,6 +227,8 @@ def test_jump_of_ros_time_restarts_the_fit(jump: float) -> None:
     assert fit.restarts == 1
     assert max(abs(read.error) for read in reads[restart + SETTLED_READS :]) < 1e-3
     assert reads[restart].residual >= 0.9 * abs(jump)
+    unnoticed = reads[round(30.0 / 0.1) + 2 : restart]
+    assert all(read.residual >= jump - JUMP_S for read in unnoticed)
     assert reads[restart + 20].residual < 1e-3
 
 
