@@ -129,7 +129,7 @@ class DaqSettings(FrozenSettings):
     frame_id: str = fixed("force_sensor", "frame of the sensor; its z axis points along compression")
     block_time: float = fixed(0.1, "time between two reads, which is the length of a block [s]", ge=0.005, le=2.0)
     backlog: float = fixed(
-        5.0, "longest queue of unpublished samples; more are dropped and counted as lost [s]", gt=0.0, le=600.0
+        10.0, "longest queue of unpublished samples; more are dropped and counted as lost [s]", gt=0.0, le=600.0
     )
     wrench_rate: float = fixed(100.0, "rate of the decimated topic wrench [Hz]; 0: none", ge=0.0, le=1e4)
     sensor: SensorSettings = SensorSettings()

@@ -540,6 +540,18 @@ def test_ni9230_reconnects_after_it_was_unplugged(ni_device: NiDevice) -> None:
     assert after[0].lost >= acquisition.statistics().samples_lost
 
 
+def test_queue_takes_all_that_the_driver_kept_during_a_pause(ni_device: NiDevice) -> None:
+    count = round(9.9 * 12_800.0)
+    settings = DaqSettings(ni9230=Ni9230Settings(samples=count))
+    notifications = Notifications()
+    acquisition = Acquisition(make_source(settings, ni_device.clock), settings, notifications, ni_device.clock)
+    acquisition.start()
+    notifications.until(is_over(acquisition))
+    statistics = acquisition.statistics()
+    assert (statistics.samples_waiting, statistics.samples_dropped) == (count, 0)
+    acquisition.stop()
+
+
 readings_and_faults = st.one_of(
     st.tuples(st.just("samples"), st.integers(0, 200), st.integers(1, 300)),
     st.tuples(st.just("away"), st.integers(0, 2000), st.just(0)),
