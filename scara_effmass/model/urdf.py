@@ -64,6 +64,8 @@ LIGHT_SHARE = 0.1
 """Share of the moving mass below which joints beyond a contact point may be held in the model."""
 FINGER_M, FINGER_RAD = 0.3, math.pi
 """Largest length of a finger from its first joint on, and range of that joint: a wrist turns farther."""
+MIN_COSINE = 0.9
+"""Cosine of the largest angle between the fingers and a point before them, seen from the link that carries them."""
 ALIKE, FINGER_KG = 4.0, 0.05
 """Ratio of masses up to which branches are fingers of one gripper, and a mass that any finger may have."""
 _ROTOR_INERTIA = ("rotor_inertia", "motorInertia")
@@ -471,33 +473,43 @@ class UrdfTree:
         """
         return self._ends(link)[0][-1]
 
-    def _ends(self, link: str) -> list[tuple[int, int, int, str]]:
+    def _ends(self, link: str) -> list[tuple[int, bool, int, int, str]]:
         """Return the ends of the chains from `link` outwards, least first.
 
-        The first has most moving joints; among equal ones it is farthest from its last joint [mm], as a tool beside a
-        camera is, then it has most joints.
+        The first has most moving joints; among equal ones it carries fingers or lies before them, then it is farthest
+        from its last joint [mm], as a tool beside a camera is, then it has most joints.
         """
         # What is locked below all moving joints, such as a base, ends no chain.
         ends = {joint for joint in self.locked if self._moving_above(joint) - self.locked}
         free = {name: parent for name, (parent, joint) in self._parents.items() if joint not in ends}
+        palms = {self._links_of[joint][0] for joint in self.gripper} & free.keys()
         ranked = []
-        for end in free.keys() - set(free.values()) | {link}:
+        for end in free.keys() - set(free.values()) | palms | {link}:
             beyond = self._joints_beyond(link, end)
             if (beyond or end == link) and ends.isdisjoint(beyond):
                 moving = sum(map(self._moves, beyond))
-                ranked.append((-moving, -round(1e3 * self._distance(end)), -len(beyond), end))
+                distance_mm = round(1e3 * float(np.linalg.norm(self._place(end))))
+                is_beside = not any(end == palm or self._is_before_fingers(end, palm) for palm in palms)
+                ranked.append((-moving, is_beside, -distance_mm, -len(beyond), end))
         return sorted(ranked)
 
     def _moves(self, joint: str) -> bool:
         """Return whether `joint` moves on its own: it is neither fixed nor locked, and mimics none."""
         return self.kind(joint) != "fixed" and joint not in self.locked and joint not in self._masters
 
-    def _distance(self, link: str) -> float:
-        """Return the distance [m] of the origin of `link` from the last joint that moves it."""
+    def _place(self, link: str) -> FloatArray:
+        """Return the origin (3,) [m] of `link` in the frame of the last joint that moves it."""
         place = pin.SE3.Identity()
         for joint in takewhile(lambda joint: not self._moves(joint), self.chain(link)):
             place = self._origins[joint] * place
-        return float(np.linalg.norm(place.translation))
+        return np.asarray(place.translation)
+
+    def _is_before_fingers(self, link: str, palm: str) -> bool:
+        """Return whether the fingers on `palm` point to `link`: to a tool centre point, and not to a camera."""
+        starts = [child for parent, child in map(self._links_of.__getitem__, self.gripper) if parent == palm]
+        origin = self._place(palm)
+        offset, ahead = self._place(link) - origin, np.mean([self._place(start) for start in starts], axis=0) - origin
+        return bool(offset @ ahead > MIN_COSINE * np.linalg.norm(offset) * np.linalg.norm(ahead))
 
     def tip_beyond(self, link: str) -> str:
         """Return the end of the chain of joints whose motion counts for a contact point at `link`.
@@ -546,7 +558,7 @@ class UrdfTree:
     def notes_on_tip(self, link: str) -> list[str]:
         """Return notes on the choice of `link` as the contact point."""
         joints = [name for name in self.chain(link)[::-1] if self._moves(name)]
-        choice = "the farthest end of the longest chain (set contact_points for another)"
+        choice = "the end of the longest chain (set contact_points for another)"
         notes = [f"contact point {link}: {choice}: {', '.join(joints)}"]
         others = [end for count, *_, end in self._ends(self.base) if count == -len(joints)]
         if others := [end for end in others if not set(joints) <= set(self.chain(end))]:

@@ -425,7 +425,7 @@ def test_joints_held_fixed_are_listed_with_the_chain_and_why(
     )
     path.write_text(path.read_text(encoding="utf-8").replace("</robot>", f"{side}</robot>"), encoding="utf-8")
     notes = [
-        "contact point tip: the farthest end of the longest chain (set contact_points for another): a, b",
+        "contact point tip: the end of the longest chain (set contact_points for another): a, b",
         "chains of as many joints end at s2: tip comes first by length and name",
         "held fixed in the model: x, y",
     ]

@@ -88,6 +88,16 @@ def test_arm_ends_at_its_gripper_and_says_so(gripper: list[str], is_harmless: bo
     assert note.endswith(", ".join(sorted(joints)))
 
 
+@pytest.mark.parametrize("mount", ["palm", "tool0"])
+@pytest.mark.parametrize("gripper", [TWO, MIMIC, HAND], ids=["two", "mimic", "hand"])
+def test_camera_beside_the_fingers_does_not_become_the_contact_point(gripper: list[str], mount: str) -> None:
+    """It is farther from the last joint, where the wrist yields: the mass would be a third smaller."""
+    camera = [part("camera", 0.05), moved("bracket", mount, "camera", "0 0.1 0.02", kind="fixed")]
+    assert list(ur5_with([*gripper, *camera]).contact_frames) == ["palm"]
+    point = [part("tcp", 0), moved("tcp_mount", "palm", "tcp", "0.06 0 0.1", kind="fixed")]
+    assert list(ur5_with([*gripper, *camera, *point]).contact_frames) == ["tcp"]
+
+
 def masses(robot: Robot) -> float:
     """Return the median of the lightest full mass [kg] at the first contact point over the poses."""
     dynamics = RobotDynamics(robot)
@@ -278,7 +288,7 @@ def test_arms_of_equal_length_are_named() -> None:
     text = f'<robot name="two">{part("torso", 20.0)}{"".join(limbs)}</robot>'
     robot = build_robot(parse_urdf(text, "two.urdf", MonitorSettings()), MonitorSettings())
     assert robot.notes[:3] == (
-        "contact point left2: the farthest end of the longest chain (set contact_points for another): left_1, left_2",
+        "contact point left2: the end of the longest chain (set contact_points for another): left_1, left_2",
         "chains of as many joints end at right2: left2 comes first by length and name",
         "held fixed in the model: right_1, right_2",
     )

@@ -129,7 +129,7 @@ def test_iso_mass_with_a_payload() -> None:
 def test_default_contact_point_is_the_tip_with_a_note() -> None:
     robot = parse()
     assert list(robot.contact_frames) == ["tip"]
-    assert any("contact point tip: the farthest end of the longest chain" in note for note in robot.notes)
+    assert any("contact point tip: the end of the longest chain" in note for note in robot.notes)
 
 
 @pytest.mark.parametrize(
