@@ -65,18 +65,19 @@ class HeldJoint(NamedTuple):
 
     `is_harmless`: it moves no more than a finger of a gripper, without a contact point. `position`
     [rad, m] is where the model holds it, NaN if masses and geometry of the arm hardly depend on it. `is_stated`:
-    `locked_joints` names it.
+    `locked_joints` names it. `is_wheel`: it may drive the base.
     """
 
     name: str
     is_harmless: bool
     position: float = math.nan
     is_stated: bool = False
+    is_wheel: bool = False
 
     @property
     def is_expected(self) -> bool:
-        """Whether joint states must have it: where it is counts, and nothing states that it stays there."""
-        return math.isfinite(self.position) and not self.is_stated
+        """Whether joint states must have it: its position or motion counts, and nothing states that it rests."""
+        return (self.is_wheel or math.isfinite(self.position)) and not self.is_stated
 
 
 @dataclass(frozen=True)

@@ -156,6 +156,7 @@ def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> RobotDescri
                 is_harmless=tree.is_harmless(name, needed),
                 position=positions[name] if tree.shapes_arm(name, needed) else math.nan,
                 is_stated=name in tree.named,
+                is_wheel=name in tree.wheels,
             )
             for name in sorted(fixed)
         ),
@@ -438,6 +439,8 @@ class UrdfTree:
         self.gripper = self.fingers | self._beyond(self._coupled_fingers())
         """Joints of grippers by their structure, whatever their names, which are held as the locked ones are."""
         self.locked = self.named | self.gripper
+        self.wheels = {name for name in self._moving if self._is_wheel(name)}
+        """Joints that may drive the base."""
 
     def _check_moments(self, link: StatedLink) -> None:
         """Raise RobotError for a negative principal moment of a `link` that moves."""
@@ -554,6 +557,20 @@ class UrdfTree:
             return False
         carries = self.kind(joint) != "prismatic" and any(joint in self._moving_above(other) for other in moved)
         return carries or not self._moving_above(joint).isdisjoint(moved)
+
+    def _is_wheel(self, joint: str) -> bool:
+        """Return whether `joint` is on the base and turns without end about a horizontal axis, with no more on it.
+
+        Rollers may be on it. A caster turns beside wheels that are driven, and few drivers report it.
+        """
+        if any(self.kind(name) != "continuous" for name in self._beyond({joint})) or self._moving_above(joint):
+            return False
+        turned, axis = np.eye(3), self.joints[joint].find("axis")
+        for name in self.chain(self._links_of[joint][1]):
+            turned = self._origins[name].rotation @ turned
+        local = (1.0, 0.0, 0.0) if axis is None else numbers_of(axis, "xyz", f"{self.origin}: joint {joint}", 3)
+        x, y, z = (turned @ np.array(local)).tolist()
+        return bool(math.hypot(x, y) > abs(z))
 
     def notes_on_tip(self, link: str) -> list[str]:
         """Return notes on the choice of `link` as the contact point."""

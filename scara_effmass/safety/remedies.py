@@ -85,7 +85,7 @@ REMEDIES = {
     ),
     Reason.HELD_UNREPORTED: (
         "let a node publish these joints, too; name them in `locked_joints` if they stay at zero or their limit "
-        "nearest to it, or in `ignored_joints` if their position changes neither masses nor geometry"
+        "nearest to it, or in `ignored_joints` if their motion changes neither masses nor geometry and drives no base"
     ),
     Reason.NO_MASSES: ROBOT_FILE,
     Reason.NO_LUMPED_MASS: MODEL,

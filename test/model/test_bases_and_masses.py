@@ -111,6 +111,22 @@ def test_position_of_a_held_joint_counts_that_shapes_the_arm() -> None:
     assert [held.name for held in robot.held if held.is_expected] == ["other"]  # locked_joints state the others
 
 
+def test_wheels_must_be_reported_where_the_model_does_not_move_the_base() -> None:
+    """Unseen, the base may drive. A steered caster, a turning scanner and one below x, y, yaw joints need not be."""
+    others = (
+        *(link("caster", 1), link("caster_wheel", 1), link("scanner", 1), link("roller", 0.1)),
+        joint("swivel", "chassis", "caster", "continuous"),
+        joint("caster_turn", "caster", "caster_wheel", "continuous", "0 1 0"),
+        joint("scan", "chassis", "scanner", "continuous"),
+        joint("rolling", "left", "roller", "continuous", "1 0 0"),
+    )
+    wheels = [joint.name for joint in robot_of(link("chassis", 60), *WHEELS, *others, *ARM).held if joint.is_expected]
+    assert wheels == ["left_wheel", "right_wheel"]
+    assert not any(joint.is_expected for joint in on_axes("0 0 0").held)
+    parked = robot_of(link("chassis", 60), *WHEELS, *ARM, locked_joints=("*_wheel",))
+    assert not any(joint.is_expected for joint in parked.held)
+
+
 def test_mimic_of_a_joint_that_does_not_exist_is_noted() -> None:
     wheels = "".join(WHEELS).replace("<axis", '<mimic joint="motor"/><axis', 1)
     robot = robot_of(link("chassis", 60), wheels, *ARM, contact_points=("tool",))
