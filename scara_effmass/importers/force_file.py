@@ -34,6 +34,8 @@ SPELLINGS |= {"microsecond": "us", "microseconds": "us"}
 """Units spelled out, in lower case."""
 FORCE_NAME = re.compile(r"force|kraft|kräfte|\b(?:f[xyz]?\d*|load|last)\b")
 """What names a column or channel of force, in lower case, with spaces for underscores."""
+NOT_MEASURED = re.compile(r"\b(?:target|set ?point|desired|command|cmd|ref|reference|limit|max|min|soll)")
+"""What names a column or channel that states a force but does not measure it, likewise."""
 UNITS = (*NEWTON_PER_UNIT, *VOLT_PER_UNIT)
 
 TABLE_SETTINGS = ("rate", "time_column", "header")
@@ -81,16 +83,23 @@ def short_unit(unit: str) -> str:
 
 def is_force_name(name: str) -> bool:
     """Return whether a column or channel has a name of force."""
-    return FORCE_NAME.search(name.lower().replace("_", " ")) is not None
+    return FORCE_NAME.search(_words(name)) is not None
+
+
+def _words(name: str) -> str:
+    return name.lower().replace("_", " ")
 
 
 def select_force(path: Path, channels: Sequence[tuple[str, str]], remedy: str = "") -> str:
     """Return the only one of the columns or channels, given by name and stated unit, that can be force.
 
     Those that are named force have priority, whatever their unit is; else those with a unit of force, but volts only if
-    no other one is without a unit. Raises SettingsError if several remain.
+    no other one is without a unit. Beside a set point or limit, all with a unit of force count. Raises SettingsError if
+    several remain.
     """
     candidates = [name for name, _ in channels if is_force_name(name)]
+    if any(NOT_MEASURED.search(_words(name)) for name in candidates):
+        candidates = [name for name, unit in channels if name in candidates or unit in NEWTON_PER_UNIT]
     if not candidates:
         has_force = any(unit in NEWTON_PER_UNIT for _, unit in channels)
         candidates = [name for name, unit in channels if unit in UNITS or not (unit or has_force)]
