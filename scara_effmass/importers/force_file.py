@@ -53,6 +53,8 @@ WINDOW = 64
 LAGS = (1, 4, 16, 64, 256, 1024)
 STEP_TOLERANCE, MIN_EVEN_STEPS = 0.25, 0.75
 """Stamps are no bursts if this share of the steps (MIN_EVEN_STEPS) deviates by less than this share of the period."""
+EVEN_RUN, EVEN_TOLERANCE = 16, 0.1
+"""So many steps that differ by at most this share of the least, at up to MAX_RATE, are no burst, which jitters."""
 NOISE_FACTOR = 2.0
 """The delays of two windows without a gap rarely differ by more than this multiple of the usual delay."""
 BURST_ROUNDS = 4
@@ -168,17 +170,19 @@ def uniform_samples(origin: str, stamps_ns: IntArray, values: FloatArray) -> tup
 
 
 def _check_rate(stamps_ns: IntArray, period_ns: float) -> None:
-    """Raise ValueError if a part longer than a burst has an even rate above that of the period."""
-    if len(stamps_ns) <= WINDOW:
-        return
-    steps_ns = sliding_window_view(np.diff(stamps_ns), WINDOW)[:: WINDOW // 4]
-    least_ns, largest_ns = steps_ns.min(axis=1), steps_ns.max(axis=1)
-    is_even = (least_ns > 0) & (largest_ns - least_ns <= 2.0 * STEP_TOLERANCE * least_ns)
-    faster = np.flatnonzero(is_even & (largest_ns < (1.0 - STEP_TOLERANCE) * period_ns))
-    if len(faster):
-        first = int(faster[0]) * (WINDOW // 4)
-        rates = f"{NS / np.median(steps_ns[faster[0]]):.6g} Hz from {(stamps_ns[first] - stamps_ns[0]) / NS:.3f} s on"
-        raise ValueError(f"has no constant rate: {rates}, {NS / period_ns:.6g} Hz on average: must be one in a file")
+    """Raise ValueError if a part longer or more even than a burst has a rate above that of the period."""
+    for size, tolerance, min_ns in ((WINDOW, 2.0 * STEP_TOLERANCE, 1.0), (EVEN_RUN, EVEN_TOLERANCE, NS / MAX_RATE)):
+        if len(stamps_ns) <= size:
+            continue
+        steps_ns = sliding_window_view(np.diff(stamps_ns), size)[:: size // 4]
+        least_ns, largest_ns = steps_ns.min(axis=1), steps_ns.max(axis=1)
+        is_even = (least_ns >= min_ns) & (largest_ns - least_ns <= tolerance * least_ns)
+        faster = np.flatnonzero(is_even & (largest_ns < (1.0 - STEP_TOLERANCE) * period_ns))
+        if len(faster):
+            first = int(faster[0]) * (size // 4)
+            rate, start_s = NS / np.median(steps_ns[faster[0]]), (stamps_ns[first] - stamps_ns[0]) / NS
+            rates = f"{rate:.6g} Hz from {start_s:.3f} s on, {NS / period_ns:.6g} Hz on average"
+            raise ValueError(f"has no constant rate: {rates}: must be one in a file")
 
 
 def _blocks(stamps_ns: IntArray, values: FloatArray, sampling: _Sampling) -> Iterator[ForceBlock]:
@@ -249,7 +253,8 @@ def _sampling(stamps_ns: IntArray) -> _Sampling:
     period_ns = float(np.mean(stamps_ns[half:] - stamps_ns[:-half]) / np.mean(numbers[half:] - numbers[:-half]))
     total = int(numbers[-1]) + 1
     missing = total - len(stamps_ns)
-    if missing > MAX_LOSS * total:
+    gaps = np.count_nonzero(np.diff(numbers) > 1)
+    if missing > MAX_LOSS * total and gaps * WINDOW > len(stamps_ns):  # not in a few pauses
         raise ValueError(f"has no constant rate: of {total} samples at {NS / period_ns:.6g} Hz, {missing} are missing")
     return sampling._replace(period_ns=period_ns)
 

@@ -86,6 +86,25 @@ def test_a_burst_every_50_ms_is_no_rate_of_1_mhz() -> None:
     assert sum(block.lost_samples for block in blocks) == 0
 
 
+@pytest.mark.parametrize("pause_s", [2.0, 30.0, 3600.0])
+@pytest.mark.parametrize(("parts", "size"), [(2, 2000), (20, 300)])
+def test_pause_longer_than_the_samples_is_a_gap(parts: int, size: int, pause_s: float) -> None:
+    """A triggered recording, or one that was paused: most of the time is lost, but not of the samples."""
+    numbers = np.arange(parts * size)
+    sample_rate, blocks = sampled(T0 + numbers * 1_000_000 + numbers // size * round(pause_s * NS))
+    assert sample_rate == pytest.approx(1000.0, rel=1e-4)
+    lost = [block.lost_samples for block in blocks if block.lost_samples]
+    assert lost == pytest.approx([pause_s * 1000.0] * (parts - 1), rel=1e-3)
+
+
+@pytest.mark.parametrize("size", [20, 50])
+def test_short_events_are_no_bursts_of_a_lower_rate(size: int) -> None:
+    """50 ms of an impact at 1 kHz, every 5 s, were 10 Hz without a loss: an impact lasted 100 times as long."""
+    numbers = np.arange(20 * size)
+    with pytest.raises(BagError, match=r"no constant rate: 1000 Hz from 0.000 s on, .* Hz on average"):
+        sampled(T0 + numbers % size * 1_000_000 + numbers // size * 5 * NS)
+
+
 def test_stall_is_not_a_gap() -> None:
     period_ns = 1_000_000
     true_ns = T0 + np.arange(3000) * period_ns
