@@ -126,7 +126,7 @@ def _start_ns(date: str, time: str) -> int:
     if not (date and time):
         return 0
     try:
-        return time_ns(f"{date} {time}".replace("/", "-"), NS)
+        return time_ns(f"{date} {time}", NS)
     except ValueError:
         raise ValueError(f"Date = {date}, Time = {time}: must be as 2025/12/31 and 23:59:58.5") from None
 

@@ -18,19 +18,25 @@ _ISO = re.compile(
     r"(?:(\d{4})-?(\d\d)-?(\d\d)[T ]\s*)?(\d\d):?(\d\d):?(\d\d)(?:[.,](\d+))?\s*(Z|UTC|[+-]\d\d(?::?\d\d)?)?"
 )
 
-_TIME_OF_DAY = re.compile(r"\s*\d\d:")
+_TIME_OF_DAY = re.compile(r"\s*\d\d?:")
 DAY_NS = 86_400 * NS
 HALF_A_DAY_NS = DAY_NS // 2
 
-_DAY_FIRST = re.compile(r"^(\d\d)\.(\d\d)\.(\d{4})(?=[T ])")
+_DAY_FIRST = re.compile(r"^(\d\d?)\.(\d\d?)\.(\d{4})(?=[T ])")
+_SLASHES = re.compile(r"^(\d{4})/(\d\d?)/(\d\d?)(?=[T ])")
+_ONE_DIGIT = re.compile(r"(?<!\d)(?=\d(?:-|[T ]|:\d\d:))")
+"""Where a month, day or hour begins that has one digit."""
 
 
 def iso_ns(text: str) -> int | None:
     """Return a time in ISO 8601 [ns since 1970], without a zone in UTC, without a date after midnight; else None.
 
-    The date may also be as in 31.12.2025.
+    The date may also be as in 31.12.2025 or 2025/12/31, and a month, day or hour may have one digit.
     """
-    match = _ISO.fullmatch(_DAY_FIRST.sub(r"\3-\2-\1", text.strip()))
+    text = text.strip()
+    if ":" in text:
+        text = _ONE_DIGIT.sub("0", _SLASHES.sub(r"\1-\2-\3", _DAY_FIRST.sub(r"\3-\2-\1", text)))
+    match = _ISO.fullmatch(text)
     if match is None or (match[1] is None and ":" not in text):
         return None
     *date, hour, minute, second, fraction, zone = match.groups()
