@@ -57,6 +57,8 @@ LONG_UNITS = {"min", "minutes", "h", "hours", "d", "days"}
 SEPARATOR = re.compile(r"(?i)sep=(.)")
 """First line by which Excel knows the delimiter."""
 DECIMAL_COMMA = re.compile(r"\s*[+-]?\d+,\d+\s*")
+NS_SINCE_1970 = re.compile(r"\d{19}")
+"""A time with so many digits is in nanoseconds, whatever began the clock."""
 COUNTER = re.compile(r"(?i)(#|no|nr|n|i|index|idx|samples?|count|counter|row|id|nummer)\.?")
 DATE = re.compile(r"\d{4}([-/.])\d\d?\1\d\d?|\d\d?([-/.])\d\d?\2\d{4}")
 LOWER_CASE = {unit.lower(): unit for unit in (*UNITS, *NS_PER_UNIT)} | SPELLINGS
@@ -90,6 +92,8 @@ def open_csv(path: Path, settings: ImportSettings) -> ForceFile:
     origin = f"{path}: {header[force]}"
     unit = select_unit(settings.unit, _unit(header[force]), origin)
     first = next(rows, (0, []))
+    if time is not None and not _unit(header[time]) and NS_SINCE_1970.fullmatch("".join(first[1][time : time + 1])):
+        header[time] += " [ns]"
     # A long file has millions of rows; these arrays need 16 bytes for each.
     stamps_ns, values = array("q"), array("d")
     for stamp_ns, value in _samples(path, header, chain([first], rows), time, force, settings.rate, Numbers(delimiter)):

@@ -30,8 +30,10 @@ NEWTON_PER_UNIT = {"N": 1.0, "kN": 1e3, "daN": 10.0, "lbf": 4.4482216152605, "kg
 VOLT_PER_UNIT = {"V": 1.0, "mV": 1e-3}
 SPELLINGS = {"newton": "N", "newtons": "N", "kilonewton": "kN", "kilonewtons": "kN", "volt": "V", "volts": "V"}
 SPELLINGS |= {"second": "s", "seconds": "s", "millisecond": "ms", "milliseconds": "ms"}
-SPELLINGS |= {"microsecond": "us", "microseconds": "us"}
-"""Units spelled out, in lower case."""
+SPELLINGS |= {"microsecond": "us", "microseconds": "us", "nanosecond": "ns", "nanoseconds": "ns"}
+SPELLINGS |= {"secs": "s", "msec": "ms", "msecs": "ms", "usec": "us", "usecs": "us", "nsec": "ns", "nsecs": "ns"}
+SPELLINGS |= {"sekunden": "s", "millisekunden": "ms", "mikrosekunden": "us", "nanosekunden": "ns"}
+"""Other spellings of units, in lower case."""
 FORCE_NAME = re.compile(r"force|kraft|kräfte|\b(?:f[xyz]?\d*|load|last)\b")
 """What names a column or channel of force, in lower case, with spaces for underscores."""
 NOT_MEASURED = re.compile(r"\b(?:target|set ?point|desired|command|cmd|ref|reference|limit|max|min|soll)")

@@ -89,6 +89,10 @@ def test_voltage_is_divided_by_the_sensitivity(tmp_path: Path, header: str, volt
         ("\u03bcs", 1e6, "utf-8-sig"),
         ("\u00b5s", 1e6, "latin-1"),
         ("\u00b5s", 1e6, "utf-16"),
+        ("msec", 1e3, "utf-8"),
+        ("usec", 1e6, "utf-8"),
+        ("Sekunden", 1.0, "utf-8"),
+        ("Millisekunden", 1e3, "utf-8"),
     ],
 )
 @pytest.mark.parametrize("header", ["Time ({}),Prüfling: Force (N)", "Time,Prüfling: Force\n{},N"])
@@ -104,6 +108,14 @@ def test_absolute_times_in_nanoseconds_keep_all_digits(tmp_path: Path) -> None:
     text = "stamp_ns,force_n\n" + "".join(f"{first_ns + n * 78_125},{n}\n" for n in range(2000))
     block = imported(write(tmp_path / "cell.csv", text))[0]
     assert (block.stamp_ns, len(block.force)) == (first_ns, 1280)
+
+
+def test_times_of_19_digits_are_nanoseconds(tmp_path: Path) -> None:
+    """`rostopic echo -p` writes them without a unit."""
+    rows = "".join(f"{1_700_000_000 * NS + n * 10_000_000},0,{n}\n" for n in range(100))
+    path = write(tmp_path / "cell.csv", f"%time,field.header.seq,field.wrench.force.z\n{rows}")
+    blocks = imported(path, topic="field.wrench.force.z", unit="N")
+    assert (blocks[0].stamp_ns, blocks[0].sample_rate) == (1_700_000_000 * NS, pytest.approx(100.0))
 
 
 def test_long_table_takes_little_more_memory_than_its_numbers(tmp_path: Path) -> None:
