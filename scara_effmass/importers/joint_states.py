@@ -125,7 +125,10 @@ def _joint_states(path: Path, mapping: Path, table: JointTable) -> Iterator[tupl
             else:
                 stamp_ns = round(count / table.rate * NS)
             position, velocity = (np.array([number(row[i]) for i in numbers]) for numbers in (positions, velocities))
-        except (ValueError, IndexError, OverflowError):
+        except OverflowError:
+            problem = f"time: must be within {MAX_SEC} s of 1970; time_unit of the mapping states s, ms, us or ns"
+            raise BagError(f"{path}: line {line}: {problem}") from None
+        except (ValueError, IndexError):
             problem = f"must have numbers in columns {sorted({*times, *positions, *velocities})}"
             raise BagError(f"{path}: line {line}: {problem} (from 0)") from None
         yield line, JointState(stamp_ns, names, position * scales, velocity * scales[: len(velocity)])
