@@ -34,6 +34,8 @@ MAX_BEYOND_SHARE = 0.2
 """Maximum share of impacts whose clock offset exceeds the tolerance: a rebound can hide the kink."""
 MAX_VOTERS = 500
 """Maximum number of impacts, and of kinks, that vote: the strongest ones."""
+MAX_STEP = 1.5
+"""Maximum distance of the states at a kink, in their periods; within a gap the time of the loss is not known."""
 NOISE_FACTOR = 6.0
 """A kink exceeds this multiple of the robust standard deviation of all changes of speed in the window."""
 
@@ -79,8 +81,8 @@ class Kink(NamedTuple):
 def velocity_kink(seconds: FloatArray, velocity: FloatArray, duration: float) -> Kink | None:
     """Return the first large sudden loss of speed in `velocity` (n, 3) [m/s] at the `seconds` (n,) after the onset.
 
-    Half of the loss has occurred in the middle of a contact of `duration` [s]. None if there are too few states, or no
-    loss of at least MIN_LOSS that stands out from the noise.
+    Half of the loss has occurred in the middle of a contact of `duration` [s]. None if there are too few states, no
+    loss of at least MIN_LOSS that stands out from the noise, or a gap between the states at the loss.
     """
     if len(seconds) < MIN_STATES:
         return None
@@ -103,6 +105,9 @@ def velocity_kink(seconds: FloatArray, velocity: FloatArray, duration: float) ->
         return None
     first = int(np.argmax(large))
     k = first + int(np.argmax(loss[first : int(np.searchsorted(begins, begins[first] + width))]))
+    end = int(np.searchsorted(seconds, begins[k] + width))
+    if np.diff(seconds[k : end + 1]).max() > MAX_STEP * period:
+        return None
     half = float(before[k] - 0.5 * loss[k])
     inside = seconds[(seconds > begins[k]) & (seconds < begins[k] + width)]
     times = np.array([begins[k], *inside, begins[k] + width])

@@ -360,6 +360,20 @@ def test_the_longest_contact_shows_a_kink(period: float, phase: float) -> None:
     assert abs(kink.delay) <= kink.resolution
 
 
+@pytest.mark.parametrize("gap", [(-0.03, 0.03), (-0.01, 0.002), (-0.0035, 0.0005)])
+def test_a_loss_within_a_gap_shows_no_offset(gap: tuple[float, float]) -> None:
+    times = np.arange(-0.05, 0.05, 1e-3)
+    outside = (times <= gap[0]) | (times >= gap[1])
+    assert velocity_kink(times[outside], velocity_at(times[outside], 0.0), DURATION) is None
+
+
+def test_a_gap_beside_the_loss_does_not_matter() -> None:
+    times = np.delete(np.arange(-0.05, 0.05, 1e-3), slice(20, 40))
+    kink = velocity_kink(times, velocity_at(times, 0.0), DURATION)
+    assert kink is not None
+    assert abs(kink.delay) <= kink.resolution == pytest.approx(0.5e-3)
+
+
 def test_a_larger_rebound_does_not_count() -> None:
     times = np.arange(-0.05, 0.05, 1e-3)
     velocity = velocity_at(times, 0.0, 0.1) + velocity_at(times, 0.03, 0.15) - velocity_at(times, 1.0, 0.0)
