@@ -180,7 +180,8 @@ def limit_text(result: Result) -> str:
     kind = "contacts" if others.contacts else "impacts"
     largest = f"largest {at_least(force.force, 0)} N of {at_most(force.limit, 0)} N ({force.region}), {origin}"
     unknown = f"; {result.unmeasured} clipped, incomplete or stuck: force not known" if result.unmeasured else ""
-    return f"{result.exceedances} of {count} {kind} above the limit; {largest}{unknown}"
+    held = f", {result.held_alone} only by the force that stayed" if result.held_alone else ""
+    return f"{result.exceedances} of {count} {kind} above the limit{held}; {largest}{unknown}"
 
 
 def held_text(result: Result) -> str:

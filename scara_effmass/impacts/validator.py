@@ -142,6 +142,11 @@ class Result(NamedTuple):
         return f"{'not accepted' if self.decidable else 'not decidable'}: {self.reason}"
 
     @property
+    def held_alone(self) -> int:
+        """Number of impacts above a limit only by the force that stayed."""
+        return sum(impact.exceeds_limit and impact.region_force <= impact.limit_force for impact in self.impacts)
+
+    @property
     def within_limits(self) -> bool:
         """Whether every force is known, and none is above a limit."""
         return not (self.exceedances or self.unmeasured)

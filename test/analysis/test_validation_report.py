@@ -3,6 +3,7 @@
 
 import json
 import math
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any, Protocol
@@ -237,6 +238,19 @@ def test_held_forces_are_larger_than_measured_with_ac_coupling(
     assert "held forces are larger than measured" in dict(summary_lines(changed))["held"]
     texts = texts_of(written(changed, dynamics, tmp_path / "report"))
     assert any("held forces are larger than measured" in text for text in texts)
+
+
+def test_impacts_above_a_limit_only_by_what_stayed_are_told_from_those_above_it_by_their_peaks(
+    validation: Validation, dynamics: RobotDynamics, tmp_path: Path
+) -> None:
+    first, *others = validation.result.impacts
+    held = replace(first, exceeds_limit=True, held_force=150.0, held_limit=140.0, held_region="hand_fingers")
+    result = validation.result._replace(impacts=(held, *others), exceedances=1)
+    changed = validation._replace(result=result)
+    statement = f"1 of {len(result.impacts)} impacts above the limit, 1 only by the force that stayed; largest "
+    assert dict(summary_lines(changed))["limit"].startswith(statement)
+    texts = texts_of(written(changed, dynamics, tmp_path / "report"))
+    assert any("Impacts above a limit only by the force that stayed: 1." in text for text in texts)
 
 
 @pytest.mark.parametrize("is_paired", [True, False])
