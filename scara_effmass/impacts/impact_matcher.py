@@ -340,7 +340,7 @@ class ImpactMatcher:
         if deadline_ns and not -self._max_wait_ns <= offset_ns <= self._max_delay_ns:
             reason = f"force and contact states are seconds apart: {APART}"
             return Rejection(reason, f"by {abs(offset_ns) / NANOSECONDS:.2f} s")
-        state = self.states.at(onset_ns, self._uncertainty_ns(impact), deadline_ns)
+        state = self.states.at(onset_ns, self._uncertainty_ns(impact), deadline_ns, normal)
         if normal is None or isinstance(state, Rejection):
             return state
         along = state.along(normal)

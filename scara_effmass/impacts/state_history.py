@@ -293,8 +293,13 @@ class StateHistory:
         state = self._states[max(self._count(onset_ns, known) - 1, 0)]
         return state.received_ns - state.stamp_ns
 
-    def at(self, onset_ns: int, uncertainty_ns: int, deadline_ns: int = 0) -> OnsetState | Rejection:
-        """Return the robot state at `onset_ns`, from the states that arrived by `deadline_ns` (0: all)."""
+    def at(
+        self, onset_ns: int, uncertainty_ns: int, deadline_ns: int = 0, normal: Vector3 | None = None
+    ) -> OnsetState | Rejection:
+        """Return the robot state at `onset_ns`, from the states that arrived by `deadline_ns` (0: all).
+
+        The contact slows the robot along `normal`, of either sign; None: along its motion.
+        """
         known = self._received_count(deadline_ns)
         before, after = self._count(onset_ns, known) - 1, self._count(onset_ns - 1, known)
         for i, side in ((before, "before"), (after, "after")):
@@ -307,7 +312,7 @@ class StateHistory:
                 return Rejection("the contact state at the onset is UNKNOWN", self._states[i].unknown)
         if not self._states[before].moving:
             return Rejection("the robot stands still at the onset", f"{self._states[before].row[_SPEED]:.4f} m/s")
-        row, from_trend = self._interpolate(onset_ns, uncertainty_ns, before, after)
+        row, from_trend = self._interpolate(onset_ns, uncertainty_ns, before, after, normal)
         length = float(np.linalg.norm(row[_DIRECTION]))
         if not self._states[after].moving and not from_trend:
             speed = self._states[after].row[_SPEED]
@@ -337,7 +342,9 @@ class StateHistory:
         """Return the number of states that arrived by `deadline_ns` (0: all)."""
         return bisect_right(self._states, deadline_ns, key=attrgetter("received_ns")) if deadline_ns else len(self)
 
-    def _interpolate(self, onset_ns: int, uncertainty_ns: int, before: int, after: int) -> tuple[FloatArray, bool]:
+    def _interpolate(
+        self, onset_ns: int, uncertainty_ns: int, before: int, after: int, normal: Vector3 | None
+    ) -> tuple[FloatArray, bool]:
         """Return the row at the onset, and whether it is from the trend, not from the states `before` and `after`."""
         latest_ns = onset_ns - uncertainty_ns
         earliest_ns = latest_ns - round(2.0 * self._tolerance * NANOSECONDS)
@@ -348,7 +355,7 @@ class StateHistory:
         if len(trend) >= 2:
             seconds, rows = _arrays(trend, onset_ns)
             for at, row, state in zip(*_arrays(ends, onset_ns), ends, strict=True):
-                if not state.moving or self._slowed(row, _trend(seconds, rows, at)):
+                if not state.moving or self._slowed(row, _trend(seconds, rows, at), normal):
                     return _trend(seconds, rows, 0.0), True
         (start, end), (first, last) = _arrays(ends, onset_ns)
         if before == after:
@@ -356,11 +363,12 @@ class StateHistory:
         weight = start / (start - end)
         return (1.0 - weight) * first + weight * last, False
 
-    def _slowed(self, row: FloatArray, expected: FloatArray) -> bool:
-        """Return whether `row` is slower than `expected`, along the expected direction."""
-        length = float(np.linalg.norm(expected[_DIRECTION]))
-        along = row[_SPEED] * float(row[_DIRECTION] @ expected[_DIRECTION]) / length if length else 0.0
-        return bool(along < (1.0 - self._settings.slowing) * expected[_SPEED])
+    def _slowed(self, row: FloatArray, expected: FloatArray, normal: Vector3 | None) -> bool:
+        """Return whether `row` is slower than `expected`, along `normal` or else the expected direction."""
+        direction = expected[_DIRECTION] / (float(np.linalg.norm(expected[_DIRECTION])) or 1.0)
+        axis = direction if normal is None else np.array(normal)
+        speed, along = expected[_SPEED] * float(direction @ axis), row[_SPEED] * float(row[_DIRECTION] @ axis)
+        return bool(along * np.sign(speed) < (1.0 - self._settings.slowing) * abs(speed))
 
 
 def dot(a: Vector3, b: Vector3) -> float:

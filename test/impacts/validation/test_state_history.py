@@ -102,6 +102,24 @@ def test_states_slowed_by_the_contact_are_not_used(
         assert state.from_trend
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_state_that_a_turned_plate_has_deflected_is_not_used(make_state: MakeState, sign: float) -> None:
+    """The heavier direction of a robot lies along the plate: it turns, and is not slower along its motion."""
+    before, after = np.array([0.78, 0.62, 0.0]), np.array([0.85, 0.57, 0.0])
+    assert after @ before > before @ before
+    normal = sign * np.array([-0.3, 0.95, 0.0]) / math.hypot(0.3, 0.95)
+    states = []
+    for i in range(-10, 10):
+        velocity = 0.25 * (before if i <= 0 else after)
+        speed = float(np.linalg.norm(velocity))
+        x, y, z = (velocity / speed).tolist()
+        states.append(make_state(START + i * 8 * MS, speed, direction=(x, y, z)))
+    x, y, z = normal.tolist()
+    state = usable(history_of(states).at(START + 6 * MS, 100_000, normal=(x, y, z)))
+    assert state.from_trend
+    assert state.speed * abs(np.array(state.direction) @ normal) == pytest.approx(0.25 * abs(before @ normal))
+
+
 @pytest.mark.parametrize("late_us", [0, 300])
 @pytest.mark.parametrize("rate", [100, 250, 500, 1000])
 def test_a_spring_between_two_masses(make_state: MakeState, rate: int, late_us: int) -> None:
