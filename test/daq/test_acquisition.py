@@ -353,8 +353,13 @@ def test_driver_that_hangs_in_a_read_or_after_an_error_is_stated(last: DaqError 
 
     source.script.extend([hang, (0, BLOCK)] if last is None else [last])
     close = source.close
+
+    def hang_and_close() -> None:
+        hang()
+        close()
+
     if last is not None:
-        source.close = lambda: (hang(), close())[1]  # type: ignore[method-assign]
+        source.close = hang_and_close  # type: ignore[method-assign]
     with running(source) as (acquisition, notifications):
         assert hangs.wait(WAIT_S)
         before = acquisition.statistics()
