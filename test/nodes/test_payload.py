@@ -122,9 +122,9 @@ def test_load_that_nobody_stated_shows_in_the_torques(new_harness: Callable[...,
     answer = next(answer for answer in harness.contact_states if answer.reason_code == Reason.UNSTATED_LOAD)
     assert (answer.verdict, answer.allowable_speed) == (ContactState.UNKNOWN, 0.0)
     assert "not the stated 0.00 kg" in answer.reason
+    harness.spin_until(lambda: 1.0 < estimates[-1].mass < 3.0)  # the first ones rest on few joint states
     last = estimates[-1]
     assert last.mass_lower < last.mass < last.mass_upper
-    assert 1.0 < last.mass < 3.0
     assert (last.stated_mass, last.is_observable) == (0.0, True)
     assert last.header.frame_id == "wrist_3_link"
     assert list(last.joint_names) == list(robot.joint_names)
