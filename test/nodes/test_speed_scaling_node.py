@@ -37,6 +37,17 @@ ALLOWED: dict[str, Any] = {"verdict": ContactState.OK, "allowable_speed": 1.0, "
 Start = Callable[..., tuple[NodeHarness, NodeHarness, list[float]]]
 
 
+def received_factors(node: NodeHarness) -> list[float]:
+    """Return the list to which the factors that a controller gets are added."""
+    factors: list[float] = []
+
+    def on_factor(message: SpeedScalingFactor) -> None:
+        factors.append(message.factor)
+
+    node.node.create_subscription(SpeedScalingFactor, SPEED_SCALING_INPUT, on_factor, CONTROLLER_QOS)
+    return factors
+
+
 @pytest.fixture
 def cell(new_harness: Callable[..., NodeHarness], tmp_path: Path) -> Iterator[Start]:
     """Return a function that starts a monitor and the node, and gives both with the factors that a controller gets."""
@@ -47,12 +58,7 @@ def cell(new_harness: Callable[..., NodeHarness], tmp_path: Path) -> Iterator[St
         )
         node = stack.enter_context(closing(NodeHarness(monitor.domain, tmp_path, "speed_scaling")))
         node.start("--ros-args", "-p", "timeout:=1.0", *arguments, command=(str(NODE),))
-        factors: list[float] = []
-
-        def on_factor(message: SpeedScalingFactor) -> None:
-            factors.append(message.factor)
-
-        node.node.create_subscription(SpeedScalingFactor, SPEED_SCALING_INPUT, on_factor, CONTROLLER_QOS)
+        factors = received_factors(node)
         return monitor, node, factors
 
     with ExitStack() as stack:
@@ -66,12 +72,7 @@ def rises_to_1(monitor: NodeHarness, node: NodeHarness, factors: list[float]) ->
 def test_two_monitors_hold_the_factor_at_0_until_one_is_left(new_harness: Callable[..., NodeHarness]) -> None:
     node = new_harness(name="speed_scaling")
     node.start("--ros-args", "-p", "timeout:=0.5", "-p", "rise_rate:=20.0", command=(str(NODE),))
-    factors: list[float] = []
-
-    def on_factor(message: SpeedScalingFactor) -> None:
-        factors.append(message.factor)
-
-    node.node.create_subscription(SpeedScalingFactor, SPEED_SCALING_INPUT, on_factor, CONTROLLER_QOS)
+    factors = received_factors(node)
     first, second = (
         node.node.create_publisher(ContactStates, "contact_states", qos_profile(verdict_qos(0.5))) for _ in range(2)
     )
@@ -97,12 +98,7 @@ def test_two_monitors_hold_the_factor_at_0_until_one_is_left(new_harness: Callab
 def test_node_that_falls_behind_takes_the_newest_contact_states(new_harness: Callable[..., NodeHarness]) -> None:
     node = new_harness(name="speed_scaling")
     process = node.start("--ros-args", "-p", "timeout:=0.5", "-p", "rise_rate:=20.0", command=(str(NODE),))
-    factors: list[float] = []
-
-    def on_factor(message: SpeedScalingFactor) -> None:
-        factors.append(message.factor)
-
-    node.node.create_subscription(SpeedScalingFactor, SPEED_SCALING_INPUT, on_factor, CONTROLLER_QOS)
+    factors = received_factors(node)
     node.node.create_subscription(DiagnosticArray, "/diagnostics", node.diagnostics.append, DEEP_QOS)
     publisher = node.node.create_publisher(ContactStates, "contact_states", qos_profile(verdict_qos(0.5)))
     number = 0
@@ -134,12 +130,7 @@ def test_contact_states_that_cannot_be_decoded_stop_the_robot_until_the_next_one
     """Long before their silence would."""
     node = new_harness(name="speed_scaling")
     node.start("--ros-args", "-p", "timeout:=60.0", "-p", "rise_rate:=20.0", command=(str(NODE),))
-    factors: list[float] = []
-
-    def on_factor(message: SpeedScalingFactor) -> None:
-        factors.append(message.factor)
-
-    node.node.create_subscription(SpeedScalingFactor, SPEED_SCALING_INPUT, on_factor, CONTROLLER_QOS)
+    factors = received_factors(node)
     publisher = node.node.create_publisher(ContactStates, "contact_states", qos_profile(verdict_qos(60.0)))
     number = 0
 
@@ -304,12 +295,7 @@ def test_status_warns_of_stops_and_of_a_controller_that_does_not_obey_in_few_lin
         return any(text in status.message and status.level == DiagnosticStatus.WARN for status in statuses)
 
     node.spin_until(lambda: told("no controller subscribes to /joint_trajectory_controller/speed_scaling_input"))
-    factors: list[float] = []
-
-    def on_factor(message: SpeedScalingFactor) -> None:
-        factors.append(message.factor)
-
-    node.node.create_subscription(SpeedScalingFactor, SPEED_SCALING_INPUT, on_factor, CONTROLLER_QOS)
+    factors = received_factors(node)
     node.spin_until(lambda: factors and factors[-1] == 1.0, repeat=send)
     # A reason whose number changes with each message.
     begin, first = time.monotonic(), len(logged)
