@@ -211,7 +211,7 @@ class LifecycleBase(LifecycleNode, Generic[Parameters]):
 
         The loss and the return of its last publisher are logged, except of a latched topic, which outlives its sender.
         `events` are further callbacks of rclpy's SubscriptionEventCallbacks, but not `message_lost`, which can lock the
-        process for ever: see `nodes.record.SequenceGaps`.
+        process for ever: see `nodes.ros.SequenceGaps`.
         """
 
         def on_matched(info: QoSSubscriptionMatchedInfo) -> None:

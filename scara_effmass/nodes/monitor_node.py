@@ -39,7 +39,7 @@ from scara_effmass.nodes.monitor_health import (
     worst_contacts,
 )
 from scara_effmass.nodes.robot_input import NO_DESCRIPTION, RobotNode, RobotParameters, label
-from scara_effmass.nodes.ros import is_late, newest_waiting, received_ns, with_info
+from scara_effmass.nodes.ros import SequenceGaps, is_late, newest_waiting, received_ns, with_info
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Assessments, Cause, Monitor, unknown_assessments
 from scara_effmass.safety.assumptions import RULES, deciding_mass, name_of
@@ -103,7 +103,10 @@ class MonitorNode(RobotNode[NodeSettings]):
         """Load the robot and create the endpoints. Raises EffmassError."""
         self.own(self, MonitorNode._forget_robot)
         self._decoder = JointStateDecoder()
-        self._received = self._skipped = self._skipped_before = 0
+        self._received = self._skipped = self._lost = 0
+        self._gaps = SequenceGaps(lambda: self.count_publishers(self._joint_states.topic_name))
+        self._told = (0, 0)
+        """How many were skipped and lost at the last diagnostics."""
         self._departed = self._departed_ns = 0
         """Number of publishers of joint states that have gone, and when the last one did: monotonic time [ns]."""
         self._is_numbered = True
@@ -232,27 +235,37 @@ class MonitorNode(RobotNode[NodeSettings]):
             self.get_logger().info(f"accepted assumptions: {', '.join(map(name_of, assumptions.accepted))}")
 
     def _on_joint_state(self, data: bytes, info: dict[str, Any]) -> None:
+        self._count(info)
         if self.active:
             for message in self._newest(data, info):
                 self._answer(*message)
+
+    def _count(self, info: dict[str, Any]) -> None:
+        lost = self._gaps.lost_before(info["publication_sequence_number"])
+        if self.active:
+            self._received += 1
+            self._lost += lost
+
+    def _take_waiting(self) -> tuple[bytes, dict[str, Any]] | None:
+        taken = self._joint_states.handle.take_message(self._joint_states.msg_type, self._joint_states.raw)
+        if taken is not None:
+            self._count(taken[1])
+        return taken  # type: ignore[no-any-return]
 
     def _newest(self, data: bytes, info: dict[str, Any]) -> Iterable[tuple[bytes, dict[str, Any]]]:
         """Return the joint state, or where it comes late the newest ones that wait behind it, one of each device.
 
         An answer to a state of long ago helps nobody, and delays the next. In simulated time, every state is answered.
         """
-        self._received += 1
         late = is_late(info, self.now_ns() - header_stamp_ns(data), self.settings.timeout)
         if not late or self.get_parameter("use_sim_time").value:
             return ((data, info),)
-        waiting = self._joint_states
         newest, skipped = newest_waiting(
             (data, info),
-            partial(waiting.handle.take_message, waiting.msg_type, waiting.raw),
+            self._take_waiting,
             lambda message: self._names(message[0]),
             topics.JOINT_STATES_INPUT_QOS.depth,
         )
-        self._received += len(newest) + skipped - 1
         self._skipped += skipped
         return newest
 
@@ -442,9 +455,12 @@ class MonitorNode(RobotNode[NodeSettings]):
         """
         monitor, latencies = self._monitor, self._latencies
         problem = no_publisher(self, topics.JOINT_STATES, "sensor_msgs/msg/JointState")
-        skipped, self._skipped_before = self._skipped - self._skipped_before, self._skipped
+        told, self._told = self._told, (self._skipped, self._lost)
+        skipped, lost = self._skipped - told[0], self._lost - told[1]
         if skipped and not problem:
             problem = f"overload: {skipped} joint states were skipped for newer ones"
+        elif lost and not problem:
+            problem = f"{lost} joint states were lost between publisher and monitor: overload or network"
         publishers = self.count_publishers(self._joint_states.topic_name)
         if has_conflict or (publishers > 1 and not (monitor and monitor.ignored)):
             problem = f"{publishers} publishers of joint states: only one may send the robot's joints"
@@ -452,6 +468,7 @@ class MonitorNode(RobotNode[NodeSettings]):
             "publishers": publishers,
             "received": self._received,
             "skipped": self._skipped,
+            "lost": self._lost,
             "refused": monitor.rejected if monitor else 0,
             "of other devices": monitor.ignored if monitor else 0,
             "moved, but not in the model": ", ".join(monitor.unmodelled_joints) if monitor else "",

@@ -24,7 +24,7 @@ from scara_effmass.bags.writer import qos_yaml
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.hang_guard import HangGuard
-from scara_effmass.nodes.ros import ClientNode, one_line, qos_profile, spin_for, with_info
+from scara_effmass.nodes.ros import ClientNode, SequenceGaps, one_line, qos_profile, spin_for, with_info
 from scara_effmass.settings.loading import FrozenSettings
 from scara_effmass.wire.message_types import message_class, message_definition
 from scara_effmass.wire.topics import FORCE_OUTPUTS, RECORDED, STREAM_QOS
@@ -127,39 +127,6 @@ def resolve_topic(node: Node, topic: str) -> str:
         return str(node.resolve_topic_name(topic))
     except (InvalidTopicNameException, RuntimeError, ValueError) as error:
         raise SettingsError(f"record: topic {topic!r}: {one_line(error)}") from None
-
-
-class SequenceGaps:
-    """Counts what is missing between the messages of one topic, by their sequence numbers.
-
-    The middleware also has an event for them, but no node may take it: `rcl_take_event` holds Python's lock and waits
-    for a lock of the middleware, whose thread may hold that one and wait for Python's
-    (https://github.com/ros2/rmw_fastrtps/pull/890). Under load the process then stands still for ever.
-
-    Each publisher numbers its messages from 1, but a message does not name its publisher. With several, a message that
-    continues none of them is assigned to the one with the closest number, so their count is approximate. A publisher
-    that starts again, with smaller numbers, loses nothing.
-    """
-
-    def __init__(self, count_publishers: Callable[[], int]) -> None:
-        """`count_publishers` returns how many publishers the topic has; it is called only where a number is missing."""
-        self._count_publishers = count_publishers
-        self._last: list[int] = []
-        """Last number of each publisher, the one that sent last at the end."""
-
-    def lost_before(self, number: int | None) -> int:
-        """Return how many messages are missing before the message with this number, None if it has none."""
-        if number is None:
-            return 0
-        last, lost = self._last, 0
-        closest = max((value for value in last if value < number), default=None)
-        # Otherwise it is the first message of another publisher.
-        if closest == number - 1 or len(last) >= max(self._count_publishers(), 1):
-            before = last[0] if closest is None else closest
-            last.remove(before)
-            lost = max(number - before - 1, 0)
-        last.append(number)
-        return lost
 
 
 @final

@@ -154,7 +154,8 @@ def test_a_stream_faster_than_its_client_does_not_hold_a_poll(node: Node) -> Non
         return polls > 2 and client.status.reason.startswith("the monitor is silent")
 
     with CellClient("display", NAMESPACE, on_decision=send_two_more) as client:
-        poll_until(client, lambda _: taken, lambda: send_two_more(OK))
+        poll_until(client, lambda _: client.connected and states.get_subscription_count())
+        send_two_more(OK)
         assert client.spin(TIMEOUT_S / 2, polled)
         assert taken > polls
 

@@ -172,20 +172,45 @@ def test_joint_states_of_another_device_are_counted_and_ignored(harness: NodeHar
     assert (last.verdict, after.verdict) == (ContactState.OK, ContactState.OK)
     assert [contact.verdict for contact in harness.contact_states] == [ContactState.OK]
     assert harness.diagnostic("input", "of other devices", lambda value: value == "3")
+    assert harness.call_service(Trigger, "reset", Trigger.Request()).success  # silent fingers would give UNKNOWN
 
 
-def test_joint_states_skipped_under_overload_are_counted_and_told(new_harness: Callable[..., NodeHarness]) -> None:
+def test_joint_states_skipped_or_lost_under_overload_are_counted_and_told(
+    new_harness: Callable[..., NodeHarness],
+) -> None:
+    """On a busy machine they may arrive one by one, so that none is skipped, and some not at all."""
     harness = new_harness("--ros-args", "-p", "timeout:=0.5")
     harness.subscribe_until_ok()
-    received = int(harness.diagnostic("input", "received", bool).split()[-1])
+    sent, texts = 0, set()
+
+    def send(age_ns: int = 0) -> None:
+        nonlocal sent
+        sent += 1
+        harness.send(joint_state(time.time_ns() - age_ns))
+
+    def counts() -> tuple[int, int]:
+        """Return how many arrived or were lost, and how many were skipped, from now on."""
+        since_ns = time.time_ns()
+        array = harness.spin_until(lambda: next((a for a in harness.diagnostics if stamp_ns(a) > since_ns), None))
+        status = next(status for status in array.status if status.name.endswith("input"))
+        texts.add(status.message)
+        values = {pair.key: pair.value for pair in status.values}
+        return int(values["received"]) + int(values["lost"]), int(values["skipped"])
+
+    before, skipped = counts()
     assert harness.process is not None
-    os.kill(harness.process.pid, signal.SIGSTOP)
-    for _ in range(50):
-        harness.send(joint_state(time.time_ns() - S))
-    os.kill(harness.process.pid, signal.SIGCONT)
-    told = harness.diagnostic("input", "skipped", lambda count: int(count) > 0)
-    assert re.fullmatch(r"overload: (\d+) joint states were skipped for newer ones \| \1", told)
-    assert harness.diagnostic("input", "received", lambda count: int(count) == received + 50)
+    while not skipped:
+        os.kill(harness.process.pid, signal.SIGSTOP)
+        for _ in range(50):
+            send(age_ns=S)
+        os.kill(harness.process.pid, signal.SIGCONT)
+        _, skipped = counts()
+    for _ in range(20):  # the next one that arrives shows what was lost before it
+        send()
+        if (now := counts()[0]) == before + sent:
+            break
+    assert now == before + sent
+    assert any(re.fullmatch(r"overload: \d+ joint states were skipped for newer ones", text) for text in texts), texts
 
 
 def test_joint_that_moves_outside_the_model_gives_unknown(harness: NodeHarness) -> None:

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scara_effmass.nodes.record import SequenceGaps
+from scara_effmass.nodes.ros import SequenceGaps
 
 
 @given(st.lists(st.integers(1, 5), min_size=1, max_size=50))
