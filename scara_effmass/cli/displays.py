@@ -39,6 +39,8 @@ _NICENESS = 10
 PERIOD_S = 0.1
 MIN_ROWS = 10
 """Rows of a terminal for the large letters."""
+_WHOLE_KG = 100.0
+"""From this mass on [kg], whole ones are shown."""
 _CHARACTERS = "OKWARNVILTU0123456789.-"
 _FONT = (
     ".##. #..# #...# .##. ###. #..# #...# # #.. ### #..# ### .#. ### ### #.# ### ### ### ### ### . ...",
@@ -168,7 +170,8 @@ def screen(status: CellStatus, now_ns: int, name: str, width: int, height: int, 
         parts.append(Text(f"before: {past.verdict.name} until {ago_s:.0f} s ago, for {lasted_s:.2f} s: {cause}"))
     if status.impacts:
         parts.append(Text(_impact_text(status.impacts[-1], now_ns)))
-    parts.append(_points(status))
+    used = len(Console(width=width).render_lines(Group(*parts)))
+    parts.append(_points(status, max(height - used - 1, 1)))
     return Group(*parts)
 
 
@@ -181,19 +184,28 @@ def _impact_text(record: ImpactRecord, now_ns: int) -> str:
     return f"{text}, not predicted: {record.left_out}" if record.left_out else text
 
 
-def _points(status: CellStatus) -> Table:
-    """Return a row for each contact point, the worst first; without numbers where the whole cell is UNKNOWN."""
+def _points(status: CellStatus, rows: int) -> Table:
+    """Return a row for each contact point, the worst first; without numbers where the whole cell is UNKNOWN.
+
+    Of more than `rows`, the last one says how many have none.
+    """
     table = Table(box=None, pad_edge=False)
     for heading in ("contact point", "verdict", "m/s", "of m/s", "kg", "body region"):
-        table.add_column(heading, justify="right" if "m/s" in heading or heading == "kg" else "left")
-    for contact in sorted(status.contacts, key=lambda contact: (-severity(contact.verdict), -contact.limit_share)):
+        table.add_column(heading, justify="right" if "m/s" in heading or heading == "kg" else "left", no_wrap=True)
+    contacts = sorted(status.contacts, key=lambda contact: (-severity(contact.verdict), -contact.limit_share))
+    shown = contacts if len(contacts) <= rows else contacts[: rows - 1]
+    for contact in shown:
         verdict = contact.verdict if status.verdict is not Verdict.UNKNOWN else Verdict.UNKNOWN
-        numbers = (*speed_texts(contact.speed, contact.allowable_speed), f"{contact.effective_mass:.3g}")
+        mass = contact.effective_mass
+        mass_text = f"{'>=' * contact.mass_capped}{mass:{'.0f' if mass >= _WHOLE_KG else '.3g'}}"
+        numbers = (*speed_texts(contact.speed, contact.allowable_speed), mass_text)
         if verdict is Verdict.UNKNOWN:
             numbers = ("-", "-", "-")
         table.add_row(
             Text(contact.contact_point), Text(verdict.name, VERDICT_STYLES[verdict]), *numbers, contact.body_region
         )
+    if rest := len(contacts) - len(shown):
+        table.add_row(f"and {rest} more")
     return table
 
 

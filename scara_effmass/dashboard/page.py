@@ -4,6 +4,7 @@
 import csv
 import io
 import math
+import re
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -35,6 +36,7 @@ _SHAPES = {
     Verdict.UNKNOWN: '<path d="M50 4l46 46-46 46L4 50z"/><path d="M38 40c0-18 25-17 25-1 0 11-13 11-13 22M50 73v2"/>',
 }
 _LEVELS = ("OK", "WARN", "ERROR", "STALE")
+_BEFORE_UNIT = re.compile(r"(?<=\d) (?=(?:N|kg|m/s|s)\b)")
 _DIAGNOSTICS_AGE_NS = 5_000_000_000
 _SPEED_COLOR, _LIMIT_COLOR, _GRID = "#17202a", "#c2410c", {"left": 50, "right": 16, "top": 52, "bottom": 42}
 
@@ -286,7 +288,9 @@ def contact_rows(status: CellStatus) -> tuple[list[str], list[list[str]], str]:
         "effective mass, lumped": lambda contact: mass(contact.lumped_mass),
         "effective mass, full": lambda contact: mass(contact.full_mass),
         "effective mass, ISO": lambda contact: mass(contact.iso_mass),
-        "deciding mass": lambda contact: f"{contact.mass_model}, {mass(contact.effective_mass)}",
+        "deciding mass": lambda contact: (
+            f"{contact.mass_model}, {'at least ' * contact.mass_capped}{mass(contact.effective_mass)}"
+        ),
         "upper bound of force": lambda contact: f"{at_least(contact.force_bound, 0)} N",
         "limit": lambda contact: f"{contact.body_region.replace('_', ' ')}, {contact.criterion}",
     }
@@ -335,7 +339,7 @@ def _table(headings: Sequence[str], rows: Sequence[Sequence[str]], empty: str = 
         f'<tr><th scope="row">{escape(row[0])}</th>{"".join(f"<td>{escape(cell)}</td>" for cell in row[1:])}</tr>'
         for row in rows
     )
-    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{_BEFORE_UNIT.sub('&nbsp;', body)}</tbody></table>"
 
 
 def _html(content: str, classes: str = "") -> ui.html:

@@ -116,6 +116,21 @@ def test_worst_contact_point_is_named_and_comes_first() -> None:
     assert not any(re.search(r"OK|WARN|VIOLATION", line) for line in shown if "before:" not in line)
 
 
+def test_contacts_for_which_a_terminal_has_no_row_are_counted() -> None:
+    cell = CellStatus(0)
+    cell.timeout_ns = S
+    contact = unknown_contact("", "")._replace(
+        verdict=Verdict.OK, speed=0.1, allowable_speed=1.2, margin=1.1, effective_mass=1000.0, mass_capped=True
+    )
+    cell.take_decision(decision_on(*(contact._replace(contact_point=f"link {i}") for i in range(12))), 3 * S)
+    for height in (24, 40):
+        shown = lines(cell, 4 * S, 80, height)
+        rows = [line for line in shown if line.startswith("link ")]
+        assert len(shown) <= height
+        assert all(">=1000" in row for row in rows)
+        assert ([line.strip() for line in shown if "more" in line] or ["and 0 more"]) == [f"and {12 - len(rows)} more"]
+
+
 def test_silence_and_a_missing_monitor_turn_an_ok_screen_to_unknown() -> None:
     cell = status(Verdict.OK)
     cell.update(3 * S + S + 1)

@@ -223,6 +223,15 @@ def test_upper_bound_of_the_force_is_rounded_up() -> None:
     assert dict(zip(headings, row, strict=True))["upper bound of force"] == "10 N"
 
 
+def test_a_mass_at_its_cap_is_a_least_one() -> None:
+    status = CellStatus(0)
+    contact = unknown_contact("tool", "")._replace(verdict=Verdict.OK, effective_mass=1000.0, mass_capped=True)
+    status.take_publisher(400_000_000, exists=True)
+    status.take_decision(decision_on(contact), 1)
+    headings, (row,), _ = contact_rows(status)
+    assert dict(zip(headings, row, strict=True))["deciding mass"].endswith("at least 1000.00 kg")
+
+
 def test_diagnostics_of_a_contact_point_whose_name_has_a_slash_name_their_node() -> None:
     status = CellStatus(0)
     status.take_diagnostic(Diagnostic("/cell/monitor: contact left/tool", 0, "OK", {}, 1))
