@@ -292,11 +292,12 @@ class CellStatus:
         """Judge silence at `now_ns`, log the verdict, and cut out the force of new impacts."""
         verdict, point, (code, reason) = self._judge(now_ns)
         if verdict is not self.verdict:
+            at_ns = max(now_ns, self.verdict_since_ns)  # a message that waited is older than what was judged meanwhile
             if self.episodes and self.episodes[-1].end_ns is None:
-                self.episodes[-1].end_ns = max(now_ns, self.episodes[-1].start_ns)
+                self.episodes[-1].end_ns = at_ns
             if verdict is not Verdict.OK:
-                self.episodes.append(Episode(verdict, point, reason, now_ns))
-            self.verdict_since_ns = now_ns
+                self.episodes.append(Episode(verdict, point, reason, at_ns))
+            self.verdict_since_ns = at_ns
         self.verdict, self.contact_point, self.reason_code, self.reason = verdict, point, code, reason
         self.allowable_speed = self.speed_scaling = 0.0
         if self.decision is not None and verdict is not Verdict.UNKNOWN:

@@ -187,6 +187,15 @@ def test_episodes_have_cause_start_and_end() -> None:
     ]
 
 
+def test_episodes_of_messages_that_waited_during_a_silence_follow_it() -> None:
+    status = ok_cell(S)
+    status.update(3 * S)
+    for number, verdict in enumerate((Verdict.WARN, Verdict.OK, Verdict.VIOLATION)):
+        status.take_decision(decision(2 + number, contact(verdict)), 2 * S + number)
+    ends = [(episode.start_ns, episode.end_ns) for episode in status.episodes]
+    assert ends == [(0, S), (3 * S, 3 * S), (3 * S, 3 * S), (3 * S, None)]
+
+
 def test_an_episode_stays_simulated_when_the_simulation_has_ended() -> None:
     status = ok_cell()
     status.run_info = RunInfo(simulated=True)
