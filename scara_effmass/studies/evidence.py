@@ -447,6 +447,10 @@ def draw_evidence(evidence: Evidence) -> Figure:
             if len(ratios):
                 share = 1.0 - np.arange(len(ratios)) / len(ratios)
                 axes.step(ratios, share, where="pre", color=colour, label=label, linewidth=1.8)
+        if not axes.get_lines():
+            axes.text(
+                0.5, 0.5, "no impact at the worst normal", transform=axes.transAxes, ha="center", backgroundcolor="w"
+            )
         axes.axvline(1.0, color=INK, linewidth=1.0)
         axes.axhline(0.5, color=INK, linewidth=0.6, linestyle=":")
         axes.set(title=f"{DRIVES[drives]}, {PLACES[place]}", yscale="log", xlim=(0.0, 2.5))
@@ -455,8 +459,10 @@ def draw_evidence(evidence: Evidence) -> Figure:
         axes.set_ylabel("share of impacts above")
     for axes in panels[-1]:
         axes.set_xlabel("peak force / limit")
-    handles, labels = panels[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2)
+    handles = {
+        label: line for axes in panels.flat for line, label in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=2)
     return figure
 
 

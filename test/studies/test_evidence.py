@@ -40,6 +40,7 @@ COLUMNS = (
 )
 
 
+NONE = "no impact at the worst normal"
 ENOUGH = 1250
 """Impacts of each of eight kinds, with which a goal can be met."""
 
@@ -148,6 +149,7 @@ def test_report_states_results_and_what_is_simulated(write_table: Callable[..., 
 def test_figure_has_a_panel_per_drives_and_place(write_table: Callable[..., Path]) -> None:
     figure = draw_evidence(Evidence(write_table(0.8)))
     assert [len(axes.get_lines()) for axes in figure.axes] == [4, 4, 4, 4, 2, 2]  # two settings, limit and median
+    assert [[text.get_text() for text in axes.texts] for axes in figure.axes[3:5]] == [[], [NONE]]
 
 
 SEED = 3
