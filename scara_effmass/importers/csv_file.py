@@ -5,9 +5,10 @@ import codecs
 import csv
 import re
 from array import array
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain, islice, pairwise, zip_longest
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,9 +30,15 @@ from scara_effmass.input_files import check_regular_file
 from scara_effmass.settings import ImportSettings
 from scara_effmass.wire.cdr import MAX_SEC, NS
 
+if TYPE_CHECKING:
+    from _csv import Reader
+
 Rows = Iterator[tuple[int, list[str]]]
 
-DELIMITERS = "\t;,"
+DELIMITERS = "\t;,| "
+"""What separates columns; a space stands for any white space, and is taken only if no other one fits as well."""
+SPACES = re.compile(r"\s+(?![\s(\[])")
+"""White space between columns, not that before a unit in brackets."""
 BINARY_CHECK = 4096
 """Number of characters at the start of a file by which text is recognized."""
 MAX_LINE = 1 << 22
@@ -42,7 +49,7 @@ MAX_HEAD = 64
 """Number of lines within which the numbers begin, if there are lines above the header."""
 NUMBER_ROWS = 3
 """Number of rows of numbers that show that the row above is the header."""
-DIGITS = "must be digits with a decimal point, or one decimal comma in a file separated by ; or tab"
+DIGITS = "must be digits with a decimal point, or one decimal comma in a file not separated by commas"
 TIMES = f"{DIGITS}, or in ISO 8601, or as 31.12.2025 10:11:12,345"
 
 BRACKETED = re.compile(r".*[(\[]\s*([^()\[\]]*?)\s*[)\]]\s*")
@@ -68,10 +75,10 @@ KNOWN_UNITS = {*UNITS, *NS_PER_UNIT}
 def open_csv(path: Path, settings: ImportSettings) -> ForceFile:
     """Read the column `settings.topic` at the times in `settings.time_column`, or at a constant `settings.rate`.
 
-    Fields are separated by comma, semicolon or tab; with the last two, numbers may have a decimal comma. The header
-    states units, as in "Force (N)", "Force / N" or "force_n", or a row below it does; times without a unit are in
-    seconds, or in ISO 8601. Lines above the header are skipped. Without header, columns are numbered from 0. Rows
-    without time or force are skipped. Raises BagError or SettingsError.
+    Fields are separated by comma, semicolon, tab, bar or white space; with all but commas, numbers may have a decimal
+    comma. The header, which may be a comment, states units, as in "Force (N)", "Force / N" or "force_n", or a row below
+    it does; times without a unit are in seconds, or in ISO 8601. Lines above the header are skipped. Without header,
+    columns are numbered from 0. Rows without time or force are skipped. Raises BagError or SettingsError.
     """
     refuse_settings(settings, ("axis",), str(path), "a column has no axes")
     header, rows, delimiter = _read(path, has_header=settings.header, has_times=not settings.rate)
@@ -109,31 +116,22 @@ def open_csv(path: Path, settings: ImportSettings) -> ForceFile:
 def _read(path: Path, *, has_header: bool, has_times: bool) -> tuple[list[str], Rows, str]:
     """Return the header, an iterator over the rows below it with their line numbers, and the delimiter."""
     lines = _lines(path)
-    numbered = enumerate(lines)
-    start, first = next(((n, line) for n, line in numbered if line.strip() and not line.startswith("#")), (0, ""))
-    delimiters = DELIMITERS
-    if match := SEPARATOR.fullmatch(first.rstrip("\r\n")):
-        delimiters = match[1]
-        if delimiters not in DELIMITERS:
-            raise BagError(f"{path}: line {start + 1}: sep = {delimiters}: must be a comma, a semicolon or a tab")
-        start, first = next(numbered, (0, ""))
-    if not first:
-        raise BagError(f"{path}: is empty; must have a header row and rows of numbers")
-    head = [first, *islice(lines, MAX_HEAD)]
+    start, head, delimiters = _head(path, lines, has_header=has_header)
     is_bare = not (has_header or has_times) and len(delimiters) > 1
     if is_bare and all(map(DECIMAL_COMMA.fullmatch, filter(str.strip, head[:DELIMITER_ROWS]))):
         rule = "must have a header, or ; between columns"
         raise BagError(f"{path}: line {start + 1}: is one number with a decimal comma, or two columns: {rule}")
     above = {mark: _lines_above_header(head, mark) if has_header else 0 for mark in delimiters}
 
-    def fit(mark: str) -> tuple[float, int]:
-        return _fit(head[above[mark] :][:DELIMITER_ROWS], mark, has_header=has_header)
+    def fit(mark: str) -> tuple[float, bool, int]:
+        share, columns = _fit(head[above[mark] :][:DELIMITER_ROWS], mark, has_header=has_header)
+        return share, mark != " ", columns
 
     delimiter = max(delimiters, key=fit)
     rows = read_rows(path, delimiter, start + above[delimiter], chain(head[above[delimiter] :], lines))
     line, header = next(rows)
     if len(header) < 2 and has_times:
-        rule = "must have times and force, separated by , ; or tab; without times, state --rate HZ"
+        rule = "must have times and force, separated by , ; | tab or spaces; without times, state --rate HZ"
         raise BagError(f"{path}: line {line}: has one column; {rule}")
     if not has_header:
         return [*map(str, range(len(header)))], chain([(line, header)], rows), delimiter
@@ -147,6 +145,31 @@ def _read(path: Path, *, has_header: bool, has_times: bool) -> tuple[list[str], 
     return header, chain([below] if below else [], rows), delimiter
 
 
+def _head(path: Path, lines: Iterator[str], *, has_header: bool) -> tuple[int, list[str], str]:
+    """Return how many lines precede the first row, this row with MAX_HEAD lines below it, and the possible delimiters.
+
+    Comments are no rows, but the last one may be the header.
+    """
+    numbered = enumerate(lines)
+    comment, delimiters = "", DELIMITERS
+    for start, first in numbered:
+        if first.startswith("#"):
+            comment = first.lstrip("# ")
+        elif match := SEPARATOR.fullmatch(first.rstrip("\r\n")):
+            delimiters = match[1]
+            if delimiters not in DELIMITERS.strip(" "):
+                rule = "must be a comma, a semicolon, a tab or a bar"
+                raise BagError(f"{path}: line {start + 1}: sep = {delimiters}: {rule}")
+        elif first.strip():
+            head = [first, *islice(lines, MAX_HEAD)]
+            if has_header and any(_is_commented_header(comment, first, mark) for mark in delimiters):
+                return start - 1, [comment, *head], delimiters
+            return start, head, delimiters
+        else:
+            comment = ""
+    raise BagError(f"{path}: is empty; must have a header row and rows of numbers")
+
+
 def _lines_above_header(head: Sequence[str], delimiter: str) -> int:
     """Return the number of lines above the names of the columns, which precede the first rows of numbers.
 
@@ -154,7 +177,7 @@ def _lines_above_header(head: Sequence[str], delimiter: str) -> int:
     and no row above them could have samples.
     """
     try:
-        rows = [next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [""]) for line in head]
+        rows = [next(_reader([line], delimiter), [""]) for line in head]
     except csv.Error:
         return 0
     texts = [(number, [cell.strip() for cell in cells]) for number, cells in enumerate(rows) if any(cells)]
@@ -165,12 +188,29 @@ def _lines_above_header(head: Sequence[str], delimiter: str) -> int:
     width = len(data[0])
     has_units = first > 1 and _are_units(texts[first - 1][1], delimiter)
     number, names = texts[first - 2 if has_units else first - 1]
-    is_named = has_units or any(is_time_name(name) or _unit(name) in KNOWN_UNITS for name in names)
-    is_header = is_named and len(names) == width and not any(_is_number(name, delimiter) for name in names)
+    is_header = len(names) == width and (has_units or _is_named(names)) and not _has_number(names, delimiter)
     has_samples = any(
         len(cells) == width and sum(_is_number(cell, delimiter) for cell in cells) > 1 for _, cells in texts[:first]
     )
     return number if is_header and not has_samples else 0
+
+
+def _is_commented_header(comment: str, below: str, delimiter: str) -> bool:
+    """Return whether the last comment names the columns of the numbers below it, as numpy.savetxt writes it."""
+    try:
+        names, cells = (next(_reader([line], delimiter), [""]) for line in (comment, below))
+    except csv.Error:
+        return False
+    return len(names) == len(cells) > 1 and _are_numbers(cells, delimiter) and _is_named(names)
+
+
+def _is_named(names: Sequence[str]) -> bool:
+    """Return whether one of the names states a time or a known unit."""
+    return any(is_time_name(name) or _unit(name) in KNOWN_UNITS for name in names)
+
+
+def _has_number(cells: Sequence[str], delimiter: str) -> bool:
+    return any(_is_number(cell, delimiter) for cell in cells)
 
 
 def _are_numbers(cells: Sequence[str], delimiter: str) -> bool:
@@ -179,8 +219,7 @@ def _are_numbers(cells: Sequence[str], delimiter: str) -> bool:
 
 def _are_units(cells: Sequence[str], delimiter: str) -> bool:
     """Return whether a row has the units of the columns: no number, and a unit of force or time."""
-    is_text = not any(_is_number(cell, delimiter) for cell in cells)
-    return is_text and any(_spelled(cell) in KNOWN_UNITS for cell in cells)
+    return not _has_number(cells, delimiter) and any(_spelled(cell) in KNOWN_UNITS for cell in cells)
 
 
 def _spelled(unit: str) -> str:
@@ -198,14 +237,28 @@ def _with_unit(name: str, cell: str, origin: str) -> str:
 
 
 def _fit(head: Sequence[str], delimiter: str, *, has_header: bool) -> tuple[float, int]:
-    """Return how well a delimiter fits: the share of numbers in the first rows, and the number of columns."""
+    """Return how well a delimiter fits: the share of numbers in the first rows, and the number of columns.
+
+    Numbers count in columns that have a name; white space fits only if most cells are numbers, and the row below the
+    header has as many columns.
+    """
     try:
-        first, *rows = ([cell.strip() for cell in row] for row in csv.reader(head, delimiter=delimiter) if row)
+        first, *rows = ([cell.strip() for cell in row] for row in _reader(head, delimiter) if row)
     except (csv.Error, ValueError):
         return -1.0, 0
     numbered = [pair for row in ([] if has_header else [first]) + rows for pair in enumerate(row) if pair[1]]
-    numbers = sum(column < len(first) and _is_number(cell, delimiter) for column, cell in numbered)
+    named = {column for column, name in enumerate(first) if name}
+    numbers = sum(column in named and _is_number(cell, delimiter) for column, cell in numbered)
+    if delimiter == " " and rows and (len(rows[0]) != len(first) or 2 * numbers <= len(numbered)):
+        return -1.0, 0
     return numbers / max(len(numbered), 1), len(first)
+
+
+def _reader(lines: Iterable[str], delimiter: str) -> "Reader":
+    """Return a reader of the cells; a space as delimiter stands for any white space."""
+    if delimiter == " ":
+        lines, delimiter = ("\t".join(SPACES.split(line.strip())) + "\n" for line in lines), "\t"
+    return csv.reader(lines, delimiter=delimiter, skipinitialspace=True)
 
 
 def _latin_1(error: UnicodeError) -> tuple[str, int]:
@@ -250,15 +303,15 @@ def read_rows(path: Path, delimiter: str, start: int = 0, lines: Iterator[str] |
         first = next(lines, "")
         start = int(SEPARATOR.fullmatch(first.strip()) is not None)
         lines = lines if start else chain([first], lines)
-    reader = csv.reader(lines, delimiter=delimiter, skipinitialspace=True)
+    reader = _reader(lines, delimiter)
     columns = 0
     try:
         for row in reader:
             cells = [cell.strip() for cell in row]
             columns = columns or len(cells)
-            if any(cells[columns:]):
+            if any(cells[columns:]) or (delimiter == " " and any(cells) and len(cells) < columns):
                 problem = f"has {len(cells)} fields, the first row {columns}: must be as many"
-                remedy = "; a decimal comma needs ; or tab between the columns" if delimiter == "," else ""
+                remedy = "; a decimal comma needs another mark between the columns" if delimiter == "," else ""
                 raise BagError(f"{path}: line {start + reader.line_num}: {problem}{remedy}")
             yield start + reader.line_num, cells
     except csv.Error as error:

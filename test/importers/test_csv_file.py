@@ -223,7 +223,9 @@ def test_samples_at_the_end_of_the_range_are_marked(tmp_path: Path) -> None:
         ("time_min,f (N)\n0,1\n", {}, "time_min: has the unit min; must be one of s, sec, ms"),
         ("Time (s),Speed mm/s,Rate N/s\n0,1,2\n", {}, "must be one of Speed mm/s, Rate N/s"),
         ("t,f (N)\n0,1\n1,1_0\n", {}, r"line 3: f \(N\) = '1_0': must be digits"),
-        ("sep=|\nt|f (N)\n0|1\n", {}, r"line 1: sep = \|: must be a comma, a semicolon or a tab"),
+        ("sep=:\nt:f (N)\n0:1\n", {}, "line 1: sep = :: must be a comma, a semicolon, a tab or a bar"),
+        ("t f (N) p (mm)\n0 1 2\n1 2 3\n2  4\n", {}, "line 4: has 2 fields, the first row 3: must be as many"),
+        ("t  p  f_N  2\n0  1  2\n1  2  3\n", {}, "line 1: has one column; must have times and force"),
     ],
 )
 def test_bad_table_is_refused_in_one_line(tmp_path: Path, text: str, settings: dict[str, Any], message: str) -> None:
@@ -368,6 +370,36 @@ def test_file_without_header(tmp_path: Path, delimiter: str) -> None:
         imported(path, header=False, unit="N")
     with pytest.raises(BagError, match="use --no-header"):
         imported(path)
+
+
+@pytest.mark.parametrize(
+    ("header", "row"),
+    [
+        ("time_s force_N", "{:.18e} {:.18e}"),
+        ("  Time (s)     Force (N)  ", "  {:8.3f} {:12.4f} "),
+        ("# by numpy.savetxt\n# time_s force_N", "{:.18e} {:.18e}"),
+        ("# Time (s),Force (N)", "{},{}"),
+        ("time_s\tp\tforce_N", "{}\t\t0\t{}"),
+        ("time_s\t\tp\t\tforce_N", "{}\t0\t{}"),
+        ("time_s|force_N", "{}|{}"),
+        ("| time_s | force_N |", "| {} | {} |"),
+        ("Time (s), Force (N)", "{}, {}"),
+        ("Date Time Force (N)", "2025-12-31 00:00:{:09.6f} {}"),
+    ],
+)
+def test_columns_between_white_space_or_bars(tmp_path: Path, header: str, row: str) -> None:
+    path = write(tmp_path / "cell.txt", "\n".join([header, *(row.format(*pair) for pair in ROWS)]))
+    blocks = imported(path, **({"time_column": "Time"} if "Date" in header else {}))
+    assert force_of(blocks) == [force for _, force in ROWS]
+    assert blocks[0].sample_rate == pytest.approx(100.0)
+
+
+def test_last_comment_is_no_header_of_other_columns(tmp_path: Path) -> None:
+    rows = "".join(f"{time} {force}\n" for time, force in ROWS)
+    path = write(tmp_path / "cell.txt", f"# exported today\n{rows}")
+    with pytest.raises(BagError, match="line 2: has numbers; must be a header"):
+        imported(path)
+    assert force_of(imported(path, header=False, unit="N")) == [force for _, force in ROWS]
 
 
 @pytest.mark.parametrize(
