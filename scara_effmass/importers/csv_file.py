@@ -67,6 +67,9 @@ DECIMAL_COMMA = re.compile(r"\s*[+-]?\d+,\d+\s*")
 NS_SINCE_1970 = re.compile(r"\d{19}")
 """A time with so many digits is in nanoseconds, whatever began the clock."""
 COUNTER = re.compile(r"(?i)(#|no|nr|n|i|index|idx|samples?|count|counter|row|id|nummer)\.?")
+NANOSECONDS = re.compile(r"(.*?)n(?:ano)?sec(?:ond)?s?")
+"""Name of a column with nanoseconds, in lower case; that of their seconds begins alike."""
+SECONDS = ("sec", "secs", "second", "seconds")
 DATE = re.compile(r"\d{4}([-/.])\d\d?\1\d\d?|\d\d?([-/.])\d\d?\2\d{4}")
 LOWER_CASE = {unit.lower(): unit for unit in (*UNITS, *NS_PER_UNIT)} | SPELLINGS
 KNOWN_UNITS = {*UNITS, *NS_PER_UNIT}
@@ -82,22 +85,23 @@ def open_csv(path: Path, settings: ImportSettings) -> ForceFile:
     """
     refuse_settings(settings, ("axis",), str(path), "a column has no axes")
     header, rows, delimiter = _read(path, has_header=settings.header, has_times=not settings.rate)
-    stated = [_column(header, settings.time_column, "time_column", path)] if settings.time_column else []
-    times = stated or [
-        n for n, name in enumerate(header) if _unit(name) in NS_PER_UNIT or (is_time_name(name) and not _unit(name))
-    ]
+    times, nanoseconds = _times(header, settings.time_column, path)
     if settings.rate and times:
         names = ", ".join(header[n] for n in times)
         raise SettingsError(f"{path}: rate = {settings.rate:g}: must be empty, the file has times: {names}")
-    no_force = times or ([] if settings.rate else [0])
+    no_force = [*times, *nanoseconds.values()] or ([] if settings.rate else [0])
     units = [(name, _unit(name)) for n, name in enumerate(header) if n not in no_force]
     remedy = "" if any(unit in UNITS for _, unit in units) else "; joint states need --joints FILE"
     force = _column(header, settings.topic or select_force(path, units, remedy), "topic", path)
     time = None if settings.rate else _time_column(header, times, force, path)
-    if time == force:
-        raise SettingsError(f"{path}: topic = time_column = {header[time]}: must be two columns")
+    if time is not None and force in {time, nanoseconds.get(time)}:
+        raise SettingsError(f"{path}: topic = time_column = {header[force]}: must be two columns")
     origin = f"{path}: {header[force]}"
     unit = select_unit(settings.unit, _unit(header[force]), origin)
+    if time is not None and time in nanoseconds:
+        names = f"{header[time]}, {header[nanoseconds[time]]}"
+        rows = _with_nanoseconds(rows, time, nanoseconds[time], path, names)
+        header[time] += " [ns]"
     first = next(rows, (0, []))
     if time is not None and not _unit(header[time]) and NS_SINCE_1970.fullmatch("".join(first[1][time : time + 1])):
         header[time] += " [ns]"
@@ -328,6 +332,41 @@ def _column(header: Sequence[str], name: str, key: str, path: Path) -> int:
         "must be a name that only one column has, or its number from 0:" if name.strip() in header else "must be one of"
     )
     raise SettingsError(f"{path}: {key} = {name}: {problem} {', '.join(header)}")
+
+
+def _times(header: Sequence[str], stated: str, path: Path) -> tuple[list[int], dict[int, int]]:
+    """Return the columns of times, those `stated` or else all, and for columns of seconds those of their nanoseconds.
+
+    The nanoseconds are the second one of two stated columns, or named as in "stamp.sec", "stamp.nanosec".
+    """
+    names = [name.lower() for name in header]
+    nanoseconds = {
+        names.index(matches[1] + word): column
+        for column, name in enumerate(names)
+        for word in SECONDS
+        if (matches := NANOSECONDS.fullmatch(name)) and matches[1] + word in names
+    }
+    if not stated:
+        is_time = [_unit(name) in NS_PER_UNIT or (is_time_name(name) and not _unit(name)) for name in header]
+        times = {n for n, is_one in enumerate(is_time) if is_one} | nanoseconds.keys()
+        return sorted(times - {*nanoseconds.values()}), nanoseconds
+    parts = [stated] if stated.strip() in header else stated.split(",", 1)
+    time, *others = (_column(header, part, "time_column", path) for part in parts)
+    return [time], dict.fromkeys([time], others[0]) if others else nanoseconds
+
+
+def _with_nanoseconds(rows: Rows, time: int, nanoseconds: int, path: Path, names: str) -> Rows:
+    """Yield the rows with nanoseconds in the column `time`. Raises BagError unless both columns have whole numbers."""
+    for line, row in rows:
+        seconds, rest = ("".join(row[column : column + 1]) for column in (time, nanoseconds))
+        if seconds and rest:
+            if not (seconds.isdecimal() and rest.isdecimal() and len(rest) < len(str(NS))):
+                rule = f"must be whole seconds, and nanoseconds below {NS}"
+                raise BagError(f"{path}: line {line}: {names} = {seconds}, {rest}: {rule}")
+            row[time] = seconds + rest.zfill(len(str(NS)) - 1)
+        else:
+            row[time : time + 1] = [""]
+        yield line, row
 
 
 def is_time_name(name: str) -> bool:

@@ -149,7 +149,9 @@ def _stamp_ns(cells: list[str], ns_per_unit: int, number: Numbers) -> int:
     """Return the time in one cell, or in two with seconds and nanoseconds. Raises ValueError, OverflowError."""
     if len(cells) == 1:
         return time_ns(cells[0], ns_per_unit, number)
-    stamp_ns = int(cells[0]) * NS + int(cells[1])
+    stamp_ns, nanoseconds = int(cells[0]) * NS, int(cells[1])
+    if not 0 <= nanoseconds < NS:
+        raise ValueError(cells[1])
     if abs(stamp_ns) > MAX_SEC * NS:
         raise OverflowError
-    return stamp_ns
+    return stamp_ns + nanoseconds

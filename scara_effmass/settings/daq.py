@@ -157,7 +157,9 @@ class ImportSettings(FrozenSettings):
     unit: Unit = tunable(
         "", "unit of the values: N, kN, daN, lbf, kgf, V or mV; empty: as the file states, N for messages"
     )
-    time_column: str = tunable("", "CSV column, or TDMS channel, of the times; empty: that beside the force")
+    time_column: str = tunable(
+        "", "CSV column (two: SECONDS,NANOSECONDS), or TDMS channel, of the times; empty: that beside the force"
+    )
     rate: float = tunable(0.0, "constant rate of a file without times [Hz]; 0: the file has times", ge=0.0, lt=1e7)
     header: bool = tunable(True, "whether a CSV file names its columns in a header")  # noqa: FBT003
     frame_id: str = tunable("force_sensor", "frame of the sensor; its z axis points along compression")

@@ -119,6 +119,26 @@ def test_times_of_19_digits_are_nanoseconds(tmp_path: Path) -> None:
     assert blocks[0].sample_rate == pytest.approx(100.0)
 
 
+@pytest.mark.parametrize(
+    ("header", "settings"),
+    [
+        ("secs,nsecs,force_N", {}),
+        ("stamp_sec,stamp_nanosec,force_N", {}),
+        ("header.stamp.sec,header.stamp.nanosec,force_N", {}),
+        ("Seconds,Nanoseconds,force_N", {"time_column": "Seconds"}),
+        ("a,b,force_N", {"time_column": "a,b"}),
+        ("", {"header": False, "unit": "N", "topic": "2", "time_column": "0,1"}),
+    ],
+)
+def test_seconds_and_nanoseconds_in_two_columns(tmp_path: Path, header: str, settings: dict[str, Any]) -> None:
+    first_ns = 1_700_000_000_987_654_321
+    stamps = [divmod(first_ns + n * 10_000_000, NS) for n in range(100)]
+    rows = [f"{seconds},{rest},{n}" for n, (seconds, rest) in enumerate(stamps)]
+    blocks = imported(write(tmp_path / "cell.csv", "\n".join([*filter(None, [header]), *rows])), **settings)
+    assert (blocks[0].stamp_ns, lost_in(blocks)) == (first_ns, [])
+    assert blocks[0].sample_rate == pytest.approx(100.0)
+
+
 def test_long_table_takes_little_more_memory_than_its_numbers(tmp_path: Path) -> None:
     rows = 50_000
     path = write(tmp_path / "cell.csv", "t (s),f (N)\n" + "".join(f"{n / 1000:.3f},{n}\n" for n in range(rows)))
@@ -223,6 +243,14 @@ def test_samples_at_the_end_of_the_range_are_marked(tmp_path: Path) -> None:
         ("time_min,f (N)\n0,1\n", {}, "time_min: has the unit min; must be one of s, sec, ms"),
         ("Time (s),Speed mm/s,Rate N/s\n0,1,2\n", {}, "must be one of Speed mm/s, Rate N/s"),
         ("t,f (N)\n0,1\n1,1_0\n", {}, r"line 3: f \(N\) = '1_0': must be digits"),
+        ("secs,nsecs,f (N)\n1,1000000000,1\n", {}, "line 2: secs, nsecs = 1, 1000000000: must be whole seconds, and"),
+        ("secs,nsecs,f (N)\n1.5,0,1\n", {}, "line 2: secs, nsecs = 1.5, 0: must be whole seconds, and nanoseconds"),
+        ("t,n,f (N)\n1,2,1\n", {"time_column": "t,x"}, "time_column = x: must be one of t, n, f"),
+        (
+            "t,n,f (N)\n1,2,1\n",
+            {"topic": "2", "time_column": "t,2"},
+            r"time_column = f \(N\): must be two columns",
+        ),
         ("sep=:\nt:f (N)\n0:1\n", {}, "line 1: sep = :: must be a comma, a semicolon, a tab or a bar"),
         ("t f (N) p (mm)\n0 1 2\n1 2 3\n2  4\n", {}, "line 4: has 2 fields, the first row 3: must be as many"),
         ("t  p  f_N  2\n0  1  2\n1  2  3\n", {}, "line 1: has one column; must have times and force"),
