@@ -86,14 +86,11 @@ def open_csv(path: Path, settings: ImportSettings) -> ForceFile:
     refuse_settings(settings, ("axis",), str(path), "a column has no axes")
     header, rows, delimiter = _read(path, has_header=settings.header, has_times=not settings.rate)
     times, nanoseconds = _times(header, settings.time_column, path)
-    if settings.rate and times:
-        names = ", ".join(header[n] for n in times)
-        raise SettingsError(f"{path}: rate = {settings.rate:g}: must be empty, the file has times: {names}")
     no_force = [*times, *nanoseconds.values()] or ([] if settings.rate else [0])
     units = [(name, _unit(name)) for n, name in enumerate(header) if n not in no_force]
     remedy = "" if any(unit in UNITS for _, unit in units) else "; joint states need --joints FILE"
     force = _column(header, settings.topic or select_force(path, units, remedy), "topic", path)
-    time = None if settings.rate else _time_column(header, times, force, path)
+    time = None if settings.rate and not times else _time_column(header, times, force, path)
     if time is not None and force in {time, nanoseconds.get(time)}:
         raise SettingsError(f"{path}: topic = time_column = {header[force]}: must be two columns")
     origin = f"{path}: {header[force]}"
@@ -110,7 +107,11 @@ def open_csv(path: Path, settings: ImportSettings) -> ForceFile:
     for stamp_ns, value in _samples(path, header, chain([first], rows), time, force, settings.rate, Numbers(delimiter)):
         stamps_ns.append(stamp_ns)
         values.append(value)
-    sample_rate, blocks = uniform_samples(origin, np.frombuffer(stamps_ns, np.int64), np.frombuffer(values))
+    times_ns = np.frombuffer(stamps_ns, np.int64)
+    if time is not None and 2 * len(np.unique(times_ns)) < len(times_ns) and not np.any(times_ns % NS):
+        rule = "must be finer; else state --rate HZ, or --time-column SECONDS,NANOSECONDS if these are two columns"
+        raise BagError(f"{path}: {header[time]}: has whole seconds, which several rows share: {rule}")
+    sample_rate, blocks = uniform_samples(origin, times_ns, np.frombuffer(values))
     if time is not None and not _unit(header[time]) and iso_ns("".join(first[1][time : time + 1])) is None:
         remedy = "head the column with Time (ms), or write dates of a spreadsheet as 2025-12-31 10:11:12.345"
         check_seconds(sample_rate, len(values), f"{path}: {header[time]}", remedy)
@@ -426,42 +427,56 @@ def _samples(
 ) -> Iterator[tuple[int, float]]:
     """Yield the stamp [ns] and the value of each row that has both.
 
-    The column `time` has the stamps; without it, the first row is at 0, and a row without a value is a lost sample.
+    The column `time` has the stamps; without it, the first row is at 0. At a `rate`, a row without a value is a lost
+    sample, and times in whole seconds state the start alone.
     """
     unit = "s" if time is None else _unit(header[time]) or "s"
     if time is not None and unit not in NS_PER_UNIT:
         rule = f"must be one of {', '.join(NS_PER_UNIT)}; without times, state --rate HZ"
         raise BagError(f"{path}: {header[time]}: has the unit {unit}; {rule}")
-    previous_ns, previous = -MAX_SEC * NS - 1, ""
+    previous_ns, previous, start_ns = -MAX_SEC * NS - 1, "", None
     decimals, midnights = Decimals(), Midnights()
     for count, (line, row) in enumerate(rows):
         if not all(len(row) > column and row[column] for column in (time, force) if column is not None):
             continue
+        origin = f"{path}: line {line}"
         try:
             value = number(row[force])
         except ValueError:
-            raise BagError(f"{path}: line {line}: {header[force]} = {row[force]!r}: {DIGITS}") from None
+            raise BagError(f"{origin}: {header[force]} = {row[force]!r}: {DIGITS}") from None
         decimals.add(row[force], value)
-        if time is None:
-            stamp_ns = round(count / rate * NS)
-            if stamp_ns > MAX_SEC * NS:
-                raise BagError(f"{path}: line {line}: rate = {rate:g}: must be larger, the file lasts over {MAX_SEC} s")
-        else:
-            origin = f"{path}: line {line}: {header[time]} = {row[time]}"
-            try:
-                stamp_ns = midnights.continued(row[time], time_ns(row[time], NS_PER_UNIT[unit], number))
-            except OverflowError:
-                remedy = "" if _unit(header[time]) else "; without a unit, it is in seconds: head it with Time (ms)"
-                raise BagError(f"{origin}: must be within {MAX_SEC} s of 1970 or of the start{remedy}") from None
-            except ValueError:
-                rule = "must have the time in the same column, or --time-column must name that of the times"
-                rule = f"is a date; {rule}" if DATE.fullmatch(row[time]) else TIMES
-                raise BagError(f"{path}: line {line}: {header[time]} = {row[time]!r}: {rule}") from None
+        stamp_ns = elapsed_ns = round(count / rate * NS) if rate else 0
+        if elapsed_ns > MAX_SEC * NS:
+            raise BagError(f"{origin}: rate = {rate:g}: must be larger, the file lasts over {MAX_SEC} s")
+        if time is not None:
+            stamp_ns = midnights.continued(row[time], _stated_ns(row[time], header[time], unit, number, origin))
             if stamp_ns < previous_ns:
-                raise BagError(f"{origin}: must not be less than {previous}, the time before")
+                raise BagError(
+                    f"{origin}: {header[time]} = {row[time]}: must not be less than {previous}, the time before"
+                )
             previous_ns, previous = stamp_ns, row[time]
+        if time is not None and rate:
+            start_ns = stamp_ns - elapsed_ns if start_ns is None else start_ns
+            if stamp_ns % NS or abs(stamp_ns - elapsed_ns - start_ns) >= NS:
+                rule = "must be empty, the file has times" if stamp_ns % NS else "must be the rate of the times"
+                raise SettingsError(f"{origin}: rate = {rate:g}: {rule}: {header[time]} = {row[time]}")
+            stamp_ns = start_ns + elapsed_ns
         yield stamp_ns, value
     decimals.check(f"{path}: {header[force]}")
+
+
+def _stated_ns(text: str, name: str, unit: str, number: Numbers, origin: str) -> int:
+    """Return the time [ns] in a cell of the column `name`. Raises BagError, which begins with `origin`."""
+    try:
+        return time_ns(text, NS_PER_UNIT[unit], number)
+    except OverflowError:
+        rule = f"must be within {MAX_SEC} s of 1970 or of the start"
+        remedy = "" if _unit(name) else "; without a unit, it is in seconds: head it with Time (ms)"
+        raise BagError(f"{origin}: {name} = {text}: {rule}{remedy}") from None
+    except ValueError:
+        rule = "must have the time in the same column, or --time-column must name that of the times"
+        rule = f"is a date; {rule}" if DATE.fullmatch(text) else TIMES
+        raise BagError(f"{origin}: {name} = {text!r}: {rule}") from None
 
 
 def _is_number(text: str, delimiter: str) -> bool:

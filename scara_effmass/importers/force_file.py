@@ -52,6 +52,8 @@ CHUNK = 4096
 """Number of samples that are numbered at a time."""
 WINDOW = 64
 """Number of samples whose minimum delay is compared with that of the samples before them."""
+MAX_BURST = WINDOW // 2
+"""Number of samples that may have the same time; with more, the windows do not show the rate."""
 LAGS = (1, 4, 16, 64, 256, 1024)
 STEP_TOLERANCE, MIN_EVEN_STEPS = 0.25, 0.75
 """Stamps are no bursts if this share of the steps (MIN_EVEN_STEPS) deviates by less than this share of the period."""
@@ -163,6 +165,9 @@ def uniform_samples(origin: str, stamps_ns: IntArray, values: FloatArray) -> tup
     """
     if len(stamps_ns) < 2:
         raise BagError(f"{origin}: has {len(stamps_ns)} samples; must have at least 2")
+    burst = len(stamps_ns) / len(np.unique(stamps_ns))
+    if burst > MAX_BURST:
+        raise BagError(f"{origin}: has {burst:.0f} samples with the same time: must have at most {MAX_BURST}")
     try:
         sampling = _sampling(stamps_ns[:HEAD])
         _check_rate(stamps_ns, sampling.period_ns)

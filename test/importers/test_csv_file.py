@@ -227,7 +227,9 @@ def test_samples_at_the_end_of_the_range_are_marked(tmp_path: Path) -> None:
         ("t,Force (N),force_limit (N)\n0,1,2\n", {}, r"empty: must be one of Force \(N\), force_limit \(N\)"),
         ("t,a,Supply (V)\n0,1,2\n", {}, r"topic is empty: must be one of a, Supply \(V\)"),
         ("t,a (N),Supply (V)\n0,1,2\n", {}, r"topic is empty: must be one of a \(N\), Supply \(V\)"),
-        ("t,f (N)\n0,1\n", {"rate": 50.0}, "rate = 50: must be empty, the file has times: t"),
+        ("t,f (N)\n0,1\n0.5,2\n", {"rate": 50.0}, "line 3: rate = 50: must be empty, the file has times: t = 0.5"),
+        ("t,f (N)\n0,1\n2,2\n", {"rate": 50.0}, "line 3: rate = 50: must be the rate of the times: t = 2"),
+        ("t,f (N)\n0,1\n0,2\n0,3\n", {}, "t: has whole seconds, which several rows share: must be finer; else state"),
         ("t,f (N)\n0,1\n", {"axis": "x"}, "axis = x: must not be stated, a column has no axes"),
         ("f (N)\n0\n1\n", {"rate": 1e-12}, "line 3: rate = 1e-12: must be larger, the file lasts over 2147483647 s"),
         ("0,204\n-0,256\n", {"rate": 1e3, "header": False}, "line 1: is one number with a decimal comma, or two"),
@@ -383,8 +385,20 @@ def test_constant_rate_counts_rows_without_a_value_as_lost(tmp_path: Path, empty
     rows = [f"{n},x" if not 60 <= n < 70 else empty for n in range(300)]
     blocks = imported(write(tmp_path / "cell.csv", "\n".join(["f (N),note", *rows])), rate=1000.0, topic="f (N)")
     assert lost_in(blocks) == [(70, 10)]
-    with pytest.raises(SettingsError, match="rate = 1000: must be empty, the file has times: note"):
-        imported(tmp_path / "cell.csv", rate=1000.0, time_column="note")
+
+
+@pytest.mark.parametrize("begin", ["10:00:00", "2025-12-31 10:00:00", "36000"])
+def test_rate_of_a_file_with_times_in_whole_seconds(tmp_path: Path, begin: str) -> None:
+    """Excel writes them; the rate resolves them."""
+    rows = [f"{begin[:-1]}{n // 100},{n}" for n in range(250)]
+    rows[120:130] = [f"{begin[:-1]}1,"] * 10
+    path = write(tmp_path / "cell.csv", "\n".join(["Time,f (N)", *rows]))
+    blocks = imported(path, rate=100.0)
+    assert blocks[0].stamp_ns % (86_400 * NS) == 36_000 * NS
+    assert (blocks[0].sample_rate, lost_in(blocks)) == (pytest.approx(100.0), [(130, 10)])
+    for rate in (40.0, 300.0):
+        with pytest.raises(SettingsError, match=f"rate = {rate:g}: must be the rate of the times"):
+            imported(path, rate=rate)
 
 
 @pytest.mark.parametrize("delimiter", [",", ";", "\t"])

@@ -7,7 +7,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from scara_effmass.errors import BagError
-from scara_effmass.importers.force_file import BLOCK_TIME_S, CHUNK, uniform_samples
+from scara_effmass.importers.force_file import BLOCK_TIME_S, CHUNK, MAX_BURST, uniform_samples
 from scara_effmass.values import ForceBlock
 
 NS = 10**9
@@ -47,6 +47,18 @@ def test_uniform_stamps_stay_and_every_gap_is_counted(rate: float, count: int, g
         assert len(block.force) <= size
         assert block.stamp_ns == pytest.approx(times_ns[int(block.force[0])], abs=2)
         assert block.clock_residual == pytest.approx(0.0, abs=2e-9)
+
+
+@pytest.mark.parametrize("burst", [10, 30, 50, 100, 120, 500])
+def test_more_samples_with_the_same_time_than_show_the_rate_are_refused(burst: int) -> None:
+    times_ns = T0 + np.arange(20 * burst) // burst * (NS // 100)
+    if burst > MAX_BURST:
+        with pytest.raises(BagError, match=f"has {burst} samples with the same time: must have at most {MAX_BURST}"):
+            sampled(times_ns)
+        return
+    sample_rate, blocks = sampled(times_ns)
+    assert sample_rate == pytest.approx(100.0 * burst)
+    assert not any(block.lost_samples for block in blocks)
 
 
 @pytest.mark.parametrize("count", [100, 1000, 9000])
