@@ -50,7 +50,7 @@ MAX_HEAD = 64
 NUMBER_ROWS = 3
 """Number of rows of numbers that show that the row above is the header."""
 DIGITS = "must be digits with a decimal point, or one decimal comma in a file not separated by commas"
-TIMES = f"{DIGITS}, or in ISO 8601, or as 31.12.2025 10:11:12,345"
+TIMES = f"{DIGITS}, or in ISO 8601, or as 31.12.2025 10:11:12,345 or 2025/12/31 (day and month show in no 3/12/2025)"
 
 BRACKETED = re.compile(r".*[(\[]\s*([^()\[\]]*?)\s*[)\]]\s*")
 SUFFIXED = re.compile(r".*_([A-Za-z]+)\s*")

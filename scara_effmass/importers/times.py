@@ -15,7 +15,9 @@ MAX_DIGITS = 20
 MIN_WHOLE = 100.0
 """With thousands separators, 976 stands beside 1.558; with decimals, 9.5 and 97.6 would, too."""
 _ISO = re.compile(
-    r"(?:(\d{4})-?(\d\d)-?(\d\d)[T ]\s*)?(\d\d):?(\d\d):?(\d\d)(?:[.,](\d+))?\s*(Z|UTC|[+-]\d\d(?::?\d\d)?)?"
+    r"(?:(\d{4})-?(\d\d)-?(\d\d)[T ]\s*)?(\d\d):?(\d\d):?(\d\d)(?:[.,](\d+)|:(\d{3}))?"
+    r"\s*([ap]\.?m\.?)?\s*(Z|UTC|[+-]\d\d(?::?\d\d)?)?",
+    re.IGNORECASE,
 )
 
 _TIME_OF_DAY = re.compile(r"\s*\d\d?:")
@@ -23,6 +25,8 @@ DAY_NS = 86_400 * NS
 HALF_A_DAY_NS = DAY_NS // 2
 
 _DAY_FIRST = re.compile(r"^(\d\d?)\.(\d\d?)\.(\d{4})(?=[T ])")
+_MONTH_NAME = re.compile(r"^(\d\d?)-([A-Za-z]{3})-(\d{4})(?=[T ])")
+_MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 _SLASHES = re.compile(r"^(\d{4})/(\d\d?)/(\d\d?)(?=[T ])")
 _ONE_DIGIT = re.compile(r"(?<!\d)(?=\d(?:-|[T ]|:\d\d:))")
 """Where a month, day or hour begins that has one digit."""
@@ -31,15 +35,20 @@ _ONE_DIGIT = re.compile(r"(?<!\d)(?=\d(?:-|[T ]|:\d\d:))")
 def iso_ns(text: str) -> int | None:
     """Return a time in ISO 8601 [ns since 1970], without a zone in UTC, without a date after midnight; else None.
 
-    The date may also be as in 31.12.2025 or 2025/12/31, and a month, day or hour may have one digit.
+    The date may also be as in 31.12.2025, 2025/12/31 or 31-Dec-2025, a month, day or hour may have one digit, the time
+    of day AM or PM behind it, and three digits of milliseconds a colon before them. Raises ValueError for no such time.
     """
     text = text.strip()
     if ":" in text:
+        text = _MONTH_NAME.sub(lambda date: f"{date[3]}-{_MONTHS.index(date[2].lower()) + 1:02}-{date[1]}", text)
         text = _ONE_DIGIT.sub("0", _SLASHES.sub(r"\1-\2-\3", _DAY_FIRST.sub(r"\3-\2-\1", text)))
     match = _ISO.fullmatch(text)
     if match is None or (match[1] is None and ":" not in text):
         return None
-    *date, hour, minute, second, fraction, zone = match.groups()
+    *date, hour, minute, second, fraction, milliseconds, half, zone = match.groups()
+    if half:
+        datetime.strptime(hour, "%I")  # noqa: DTZ007 - raises ValueError for hours that no clock of 12 hours has
+        hour = int(hour) % 12 + 12 * (half[0] in "Pp")
     year, month, day = (int(part) for part in date) if date[0] else (1970, 1, 1)
     offset = timedelta()
     if zone and zone[0] in "+-":
@@ -47,7 +56,7 @@ def iso_ns(text: str) -> int | None:
         offset = timedelta(hours=hours, minutes=minutes) * (-1 if zone[0] == "-" else 1)
     moment = datetime(year, month, day, int(hour), int(minute), 0, tzinfo=timezone.utc) - offset
     whole = (moment - datetime(1970, 1, 1, tzinfo=timezone.utc)) // timedelta(seconds=1) + int(second)
-    return whole * NS + int((fraction or "0")[:9].ljust(9, "0"))
+    return whole * NS + int((fraction or milliseconds or "0")[:9].ljust(9, "0"))
 
 
 def axis_ns(unit: str, origin: str) -> int:

@@ -253,6 +253,7 @@ def test_samples_at_the_end_of_the_range_are_marked(tmp_path: Path) -> None:
             {"topic": "2", "time_column": "t,2"},
             r"time_column = f \(N\): must be two columns",
         ),
+        ("t,f (N)\n3/12/2025 10:00:00,1\n", {}, r"line 2: t = '3/12/2025 .*day and month show in no 3/12/2025"),
         ("sep=:\nt:f (N)\n0:1\n", {}, "line 1: sep = :: must be a comma, a semicolon, a tab or a bar"),
         ("t f (N) p (mm)\n0 1 2\n1 2 3\n2  4\n", {}, "line 4: has 2 fields, the first row 3: must be as many"),
         ("t  p  f_N  2\n0  1  2\n1  2  3\n", {}, "line 1: has one column; must have times and force"),
@@ -470,6 +471,13 @@ def test_decimal_comma(tmp_path: Path, header: str) -> None:
         ("2025/1/1 9:00:00.{:03d}", 1_735_722_000 * NS),
         ("2025-1-1 9:00:00.{:03d}", 1_735_722_000 * NS),
         ("9:00:00.{:03d}", 32_400 * NS),
+        ("9:00:00:{:03d}", 32_400 * NS),
+        ("9:00:00.{:03d} AM", 32_400 * NS),
+        ("09:00:00,{:03d}pm", 75_600 * NS),
+        ("12:00:00.{:03d} a.m.", 0),
+        ("12:00:00.{:03d} PM", 43_200 * NS),
+        ("01-Jan-2025 09:00:00.{:03d}", 1_735_722_000 * NS),
+        ("1-JAN-2025 9:00:00.{:03d} AM", 1_735_722_000 * NS),
     ],
 )
 def test_times_in_iso_8601(tmp_path: Path, first: str, stamp_ns: int) -> None:
@@ -510,7 +518,17 @@ def test_infinite_force_is_a_lost_sample(tmp_path: Path) -> None:
     assert lost_in(imported(write(tmp_path / "cell.csv", f"t,f (N)\n{rows}"))) == [(6, 1)]
 
 
-@pytest.mark.parametrize("text", ["2025-13-01T10:00:00", "2025-01-01T25:00:00", "01.13.2025 10:00:00"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "2025-13-01T10:00:00",
+        "2025-01-01T25:00:00",
+        "01.13.2025 10:00:00",
+        "13:00:00 PM",
+        "00:10:00 AM",
+        "1-Foo-2025 10:00:00",
+    ],
+)
 def test_time_that_is_no_iso_8601_is_refused(tmp_path: Path, text: str) -> None:
     with pytest.raises(BagError, match=r"line 2: t = .*: must be digits .*, or in ISO 8601"):
         imported(write(tmp_path / "cell.csv", f"t;f (N)\n{text};1\n"))
