@@ -197,6 +197,8 @@ def _import_joint_states(args: argparse.Namespace, settings: ImportSettings) -> 
     span = f"{imported.first_stamp_s:.3f} to {imported.last_stamp_s:.3f} s"
     velocity = "with velocities" if imported.has_velocity else "without velocities (assess --velocity from-positions)"
     lines = [("/joint_states", f"{path.name}: {imported.joint_states} joint states, {span}, {velocity}")]
+    if imported.rows_without_values:
+        lines.append(("left out", f"{imported.rows_without_values} rows without joint values"))
     if imported.shift_s:
         lines.append(("time", f"{imported.shift_s:.3f} s later than in the file, which begins at 0 or before"))
     result = {"output": str(args.output), **imported._asdict()}

@@ -133,7 +133,7 @@ def _read(path: Path, *, has_header: bool, has_times: bool) -> tuple[list[str], 
         return share, mark != " ", columns
 
     delimiter = max(delimiters, key=fit)
-    rows = read_rows(path, delimiter, start + above[delimiter], chain(head[above[delimiter] :], lines))
+    rows = _read_rows(path, delimiter, start + above[delimiter], chain(head[above[delimiter] :], lines))
     line, header = next(rows)
     if len(header) < 2 and has_times:
         rule = "must have times and force, separated by , ; | tab or spaces; without times, state --rate HZ"
@@ -181,11 +181,8 @@ def _lines_above_header(head: Sequence[str], delimiter: str) -> int:
     It is 0, so that the first line is the header, unless the names are as many as the numbers and state a time or unit,
     and no row above them could have samples.
     """
-    try:
-        rows = [next(_reader([line], delimiter), [""]) for line in head]
-    except csv.Error:
-        return 0
-    texts = [(number, [cell.strip() for cell in cells]) for number, cells in enumerate(rows) if any(cells)]
+    rows = [_cells(line, delimiter) for line in head]
+    texts = [(number, cells) for number, cells in enumerate(rows) if any(cells)]
     first = next((n for n, (_, cells) in enumerate(texts) if len(cells) > 1 and _are_numbers(cells, delimiter)), 0)
     data = [cells for _, cells in texts[first:][:NUMBER_ROWS]]
     if not first or not all(len(cells) == len(data[0]) and _are_numbers(cells, delimiter) for cells in data):
@@ -193,7 +190,7 @@ def _lines_above_header(head: Sequence[str], delimiter: str) -> int:
     width = len(data[0])
     has_units = first > 1 and _are_units(texts[first - 1][1], delimiter)
     number, names = texts[first - 2 if has_units else first - 1]
-    is_header = len(names) == width and (has_units or _is_named(names)) and not _has_number(names, delimiter)
+    is_header = len(names) == width and (has_units or _is_named(names)) and not has_number(names, delimiter)
     has_samples = any(
         len(cells) == width and sum(_is_number(cell, delimiter) for cell in cells) > 1 for _, cells in texts[:first]
     )
@@ -202,10 +199,7 @@ def _lines_above_header(head: Sequence[str], delimiter: str) -> int:
 
 def _is_commented_header(comment: str, below: str, delimiter: str) -> bool:
     """Return whether the last comment names the columns of the numbers below it, as numpy.savetxt writes it."""
-    try:
-        names, cells = (next(_reader([line], delimiter), [""]) for line in (comment, below))
-    except csv.Error:
-        return False
+    names, cells = (_cells(line, delimiter) for line in (comment, below))
     return len(names) == len(cells) > 1 and _are_numbers(cells, delimiter) and _is_named(names)
 
 
@@ -214,7 +208,8 @@ def _is_named(names: Sequence[str]) -> bool:
     return any(is_time_name(name) or _unit(name) in KNOWN_UNITS for name in names)
 
 
-def _has_number(cells: Sequence[str], delimiter: str) -> bool:
+def has_number(cells: Sequence[str], delimiter: str) -> bool:
+    """Return whether a cell is a number or a time."""
     return any(_is_number(cell, delimiter) for cell in cells)
 
 
@@ -224,10 +219,10 @@ def _are_numbers(cells: Sequence[str], delimiter: str) -> bool:
 
 def _are_units(cells: Sequence[str], delimiter: str) -> bool:
     """Return whether a row has the units of the columns: no number, and a unit of force or time."""
-    return not _has_number(cells, delimiter) and any(_spelled(cell) in KNOWN_UNITS for cell in cells)
+    return not has_number(cells, delimiter) and any(spelled_unit(cell) in KNOWN_UNITS for cell in cells)
 
 
-def _spelled(unit: str) -> str:
+def spelled_unit(unit: str) -> str:
     """Return a unit without brackets, with the micro sign for the Greek mu, and short if it is spelled out."""
     unit = unit.strip("[]() ").replace("\u03bc", "\u00b5")
     return short_unit(unit)
@@ -235,7 +230,7 @@ def _spelled(unit: str) -> str:
 
 def _with_unit(name: str, cell: str, origin: str) -> str:
     """Return the name of a column with the unit below it, unless one of the two is empty or it states the same."""
-    stated, unit = _unit(name), _spelled(cell)
+    stated, unit = _unit(name), spelled_unit(cell)
     if {stated, unit} <= KNOWN_UNITS and NS_PER_UNIT.get(stated, stated) != NS_PER_UNIT.get(unit, unit):
         raise BagError(f"{origin}: {name} = {cell}: must be {stated}, as the header states")
     return f"{name} [{unit}]" if name and unit and unit != stated else name or cell
@@ -264,6 +259,14 @@ def _reader(lines: Iterable[str], delimiter: str) -> "Reader":
     if delimiter == " ":
         lines, delimiter = ("\t".join(SPACES.split(line.strip())) + "\n" for line in lines), "\t"
     return csv.reader(lines, delimiter=delimiter, skipinitialspace=True)
+
+
+def _cells(line: str, delimiter: str) -> list[str]:
+    """Return the cells of one line; none if it is not CSV."""
+    try:
+        return [cell.strip() for cell in next(_reader([line], delimiter), [])]
+    except csv.Error:
+        return []
 
 
 def _latin_1(error: UnicodeError) -> tuple[str, int]:
@@ -297,17 +300,26 @@ def _lines(path: Path) -> Iterator[str]:
         raise BagError(f"{path}: cannot be read: {error.strerror}") from None
 
 
-def read_rows(path: Path, delimiter: str, start: int = 0, lines: Iterator[str] | None = None) -> Rows:
-    """Yield line number and cells of each row, none of a blank one, in a file or its `lines` after number `start`.
+def named_rows(path: Path, delimiter: str, names: set[str]) -> Rows:
+    """Yield the rows of a file from its header on, which is the first line with all `names`, also as a comment.
 
-    A first line of the file that states the delimiter to Excel is no row. Raises BagError for more cells than the first
-    row has.
+    Without `names` or such a line, it is the first one that is no comment. Raises BagError.
     """
-    if lines is None:
-        lines = _lines(path)
-        first = next(lines, "")
-        start = int(SEPARATOR.fullmatch(first.strip()) is not None)
-        lines = lines if start else chain([first], lines)
+    lines = _lines(path)
+    head = list(islice(lines, MAX_HEAD))
+    is_row = [not (line.startswith("#") or SEPARATOR.fullmatch(line.strip())) for line in head]
+    start = is_row.index(True) if True in is_row else len(head)
+    texts = ((number, text) for number, line in enumerate(head) for text in (line.lstrip("# "), line))
+    if names and (header := next((item for item in texts if names <= {*_cells(item[1], delimiter)}), None)):
+        start, head[header[0]] = header
+    return _read_rows(path, delimiter, start, chain(head[start:], lines))
+
+
+def _read_rows(path: Path, delimiter: str, start: int, lines: Iterator[str]) -> Rows:
+    """Yield line number and cells of each row, none of a blank one, in the `lines` of a file after number `start`.
+
+    Raises BagError for more cells than the first row has.
+    """
     reader = _reader(lines, delimiter)
     columns = 0
     try:
@@ -410,14 +422,14 @@ def _unit(name: str) -> str:
     """Return the unit at the end of a column name; empty if there is none."""
     name = REPEATED.sub("", name)
     if match := BRACKETED.fullmatch(name):
-        return _spelled(match[1])
+        return spelled_unit(match[1])
     match = SUFFIXED.fullmatch(name)
     if match and (unit := LOWER_CASE.get(match[1].lower())):
         return unit
     # "Time / ms", "Force in N": the last word, where the others say what it is.
     *words, last = WORD.findall(name) or [""]
     is_time, is_force = bool(TIME_WORDS & {*map(str.lower, words)}), is_force_name(" ".join(words))
-    last = _spelled(last)
+    last = spelled_unit(last)
     is_unit = (is_time and last in {*NS_PER_UNIT, *LONG_UNITS}) or (is_force and last in UNITS)
     return last if is_unit else ""
 

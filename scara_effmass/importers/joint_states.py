@@ -12,7 +12,7 @@ from pydantic import Field, StrictInt
 
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError, SettingsError
-from scara_effmass.importers.csv_file import read_rows
+from scara_effmass.importers.csv_file import Rows, has_number, named_rows, spelled_unit
 from scara_effmass.importers.times import NS_PER_UNIT, Midnights, Numbers, time_ns
 from scara_effmass.input_files import read_yaml
 from scara_effmass.settings import checked
@@ -23,6 +23,7 @@ from scara_effmass.wire.cdr import MAX_SEC, NS
 Column = StrictInt | str
 """Name of a column, or its number from 0."""
 SCALES = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "m": 1.0, "mm": 1e-3}
+SPELLINGS = {"degree": "deg", "degrees": "deg", "°": "deg", "radian": "rad", "radians": "rad"}
 FIRST_NS = NS
 """Stamp of the first joint state if the times begin at 0 or before, which would be no valid stamp."""
 
@@ -57,6 +58,7 @@ class ImportedJointStates(NamedTuple):
     last_stamp_s: float
     shift_s: float
     has_velocity: bool
+    rows_without_values: int
 
 
 def write_joint_state_bag(
@@ -77,9 +79,12 @@ def write_joint_state_bag(
     has_velocity = all(joint.velocity is not None for joint in table.joints.values())
     if not has_velocity and any(joint.velocity is not None for joint in table.joints.values()):
         raise SettingsError(f"{mapping}: joints: velocity must be given for all joints, or for none")
-    count = first_ns = last_ns = shift_ns = 0
+    count = first_ns = last_ns = shift_ns = without_values = 0
     with BagWriter(output, overwrite=overwrite) as bag:
         for line, state in _joint_states(path, mapping, table):
+            if state is None:
+                without_values += 1
+                continue
             if not count:
                 shift_ns = FIRST_NS - state.stamp_ns if state.stamp_ns <= 0 else 0
                 first_ns = state.stamp_ns + shift_ns
@@ -90,21 +95,26 @@ def write_joint_state_bag(
             count, last_ns = count + 1, stamp_ns
         if not count:
             raise BagError(f"{path}: has no rows of numbers")
-    return ImportedJointStates(count, first_ns / NS, last_ns / NS, shift_ns / NS, has_velocity)
+    return ImportedJointStates(count, first_ns / NS, last_ns / NS, shift_ns / NS, has_velocity, without_values)
 
 
-def _joint_states(path: Path, mapping: Path, table: JointTable) -> Iterator[tuple[int, JointState]]:
-    """Yield the line number and joint state of each row; blank rows are skipped.
+def _joint_states(path: Path, mapping: Path, table: JointTable) -> Iterator[tuple[int, JointState | None]]:
+    """Yield the line number of each row, and its joint state unless all its cells are empty; blank rows are skipped.
 
-    Raises BagError for a row with fewer cells than the first one has up to its last name: which ones it lacks is
-    unknown.
+    A program that writes several topics to a table leaves the cells of the others empty. A row of units may be below
+    the header. Raises BagError for a row with fewer cells than the first one has up to its last name: which ones it
+    lacks is unknown.
     """
     names, number, midnights = tuple(table.joints), Numbers(table.delimiter), Midnights()
-    rows = read_rows(path, table.delimiter)
+    stated_times = table.time if isinstance(table.time, tuple) else (table.time,)
+    stated = {
+        *stated_times,
+        *(column for joint in table.joints.values() for column in (joint.position, joint.velocity)),
+    }
+    rows = named_rows(path, table.delimiter, {column for column in stated if isinstance(column, str)})
     header = next(rows, (0, []))[1] if table.header else []
     columns = max((number for number, name in enumerate(header, start=1) if name), default=0)
     index = partial(_index, mapping, header)
-    stated_times = table.time if isinstance(table.time, tuple) else (table.time,)
     times = [index(column, "time") for column in stated_times if column is not None]
     positions = [index(joint.position, f"joints.{name}.position") for name, joint in table.joints.items()]
     velocities = [
@@ -113,11 +123,17 @@ def _joint_states(path: Path, mapping: Path, table: JointTable) -> Iterator[tupl
         if joint.velocity is not None
     ]
     scales = np.array([SCALES[joint.unit] for joint in table.joints.values()])
-    for count, (line, row) in enumerate(item for item in rows if any(item[1])):
+    units: dict[int, str] = {column: table.time_unit for column in times if len(times) == 1}
+    for numbers in (positions, velocities):
+        units |= {column: joint.unit for column, joint in zip(numbers, table.joints.values(), strict=False)}
+    for count, (line, row) in enumerate(_below_units(path, header, rows, units, table.delimiter)):
         columns = columns or len(row)
         if len(row) < columns:
             problem = f"has {len(row)} fields, the first row {columns}: must be as many"
             raise BagError(f"{path}: line {line}: {problem}")
+        if not any("".join(row[i : i + 1]) for i in (*positions, *velocities)):
+            yield line, None
+            continue
         try:
             if table.rate is None:
                 cells = [row[i] for i in times]
@@ -132,6 +148,27 @@ def _joint_states(path: Path, mapping: Path, table: JointTable) -> Iterator[tupl
             problem = f"must have numbers in columns {sorted({*times, *positions, *velocities})}"
             raise BagError(f"{path}: line {line}: {problem} (from 0)") from None
         yield line, JointState(stamp_ns, names, position * scales, velocity * scales[: len(velocity)])
+
+
+def _below_units(path: Path, header: list[str], rows: Rows, units: Mapping[int, str], delimiter: str) -> Rows:
+    """Yield the rows that are not blank, without one of units below the header.
+
+    Raises BagError if it states another unit of a column than the mapping, whose `units` are by column.
+    """
+    filled = ((line, row) for line, row in rows if any(row))
+    first = next(filled, None)
+    if first is None:
+        return
+    line, row = first
+    if not header or has_number(row, delimiter):
+        yield first
+    else:
+        for column, unit in units.items():
+            cell = spelled_unit("".join(row[column : column + 1])).partition("/")[0].strip()
+            if cell and SPELLINGS.get(cell.lower(), cell) not in {unit, "µs" if unit == "us" else unit}:
+                problem = f"{header[column]} = {row[column]}: must be a number, or {unit}, as in the mapping"
+                raise BagError(f"{path}: line {line}: {problem}")
+    yield from filled
 
 
 def _index(mapping: Path, header: list[str], column: Column, key: str) -> int:

@@ -39,7 +39,7 @@ def states_of(tmp_path: Path, text: str, mapping: str | Path = MAPPING) -> tuple
 
 def test_units_become_si_and_times_that_begin_at_zero_are_shifted(tmp_path: Path) -> None:
     imported, (first, second) = states_of(tmp_path, f"{HEADER}\n0,180,500,20,90,-100,5\n\n4.5,181,501,21,91,-99,6\n")
-    assert imported == ImportedJointStates(2, 1.0, 1.0045, 1.0, has_velocity=True)
+    assert imported == ImportedJointStates(2, 1.0, 1.0045, 1.0, has_velocity=True, rows_without_values=0)
     assert (first.stamp_ns, second.stamp_ns) == (1_000_000_000, 1_004_500_000)
     assert first.names == ("joint1", "joint2", "joint3")
     np.testing.assert_allclose(first.position, [np.pi, 0.5, 0.02], rtol=1e-15)
@@ -75,6 +75,9 @@ def test_positions_alone_give_no_velocity(tmp_path: Path) -> None:
         (f"{HEADER}\n1,1,2,3,4,5,6\n1,1,2,3,4,5,6", MAPPING, "log.csv: line 3: time: must be later"),
         (f"{HEADER}\n1e30,1,2,3,4,5,6", MAPPING, "of 1970; time_unit of the mapping states s, ms, us or ns"),
         (HEADER, MAPPING, "log.csv: has no rows of numbers"),
+        (f"{HEADER}\nms,rad,mrad,mm\n1,1,2,3,4,5,6", MAPPING, "line 2: a = rad: must be a number, or deg, as in the"),
+        (f"{HEADER}\ns,deg,mrad,mm\n1,1,2,3,4,5,6", MAPPING, "line 2: t = s: must be a number, or ms, as in the map"),
+        (f"{HEADER}\n1,1,,3,4,5,6", MAPPING, "log.csv: line 2: must have numbers in columns"),
         ("", MAPPING, "map.yaml: time = t: must be"),
         ("a,b,c\n1,2,3", MAPPING, "map.yaml: time = t: must be one of a, b, c; without times, state --rate HZ"),
         ("t,a,b\n1,2,3", MAPPING, "map.yaml: joints.joint3.position = c: must be one of t, a, b"),
@@ -141,3 +144,26 @@ def test_a_first_line_for_excel_is_no_header(tmp_path: Path) -> None:
 def test_times_of_day_continue_after_midnight(tmp_path: Path) -> None:
     imported, _ = states_of(tmp_path, "t,a\n23:59:59.5,1\n00:00:00.5,1\n", f"time: t\n{SIMPLE}")
     assert (imported.first_stamp_s, imported.last_stamp_s) == (86_399.5, 86_400.5)
+
+
+@pytest.mark.parametrize(
+    "header",
+    ["# exported\n# 2025\nt,a", "# t,a", "Robot: UR5\n\nt,a", "#t,a", "t,a\ns,rad", "t,a\n[s],[Radian]", "t,a\n,rad"],
+)
+def test_comments_above_the_header_and_units_below_it(tmp_path: Path, header: str) -> None:
+    imported, states = states_of(tmp_path, f"{header}\n1,0.5\n2,0.25\n", f"time: t\n{SIMPLE}")
+    assert (imported.first_stamp_s, [state.position[0] for state in states]) == (1.0, [0.5, 0.25])
+
+
+@pytest.mark.parametrize("header", [" t    a ", "# t a", "t\ta", "t \t a"])
+def test_columns_between_white_space(tmp_path: Path, header: str) -> None:
+    text = f"{header}\n  1.0     0.5  \n 10.0 \t -0.25\n"
+    _, states = states_of(tmp_path, text, f'time: t\ndelimiter: " "\n{SIMPLE}')
+    assert [state.position[0] for state in states] == [0.5, -0.25]
+
+
+def test_rows_of_other_topics_are_left_out_and_counted(tmp_path: Path) -> None:
+    """PlotJuggler writes a row for each time of any topic."""
+    imported, states = states_of(tmp_path, "t,a,force\n1,0.5,\n1.5,,7\n2,0.25,\n", f"time: t\n{SIMPLE}")
+    assert (imported.joint_states, imported.rows_without_values) == (2, 1)
+    assert [state.position[0] for state in states] == [0.5, 0.25]
