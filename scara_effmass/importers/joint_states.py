@@ -24,6 +24,10 @@ Column = StrictInt | str
 """Name of a column, or its number from 0."""
 SCALES = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "m": 1.0, "mm": 1e-3}
 SPELLINGS = {"degree": "deg", "degrees": "deg", "°": "deg", "radian": "rad", "radians": "rad"}
+MIN_RATE, MAX_RATE = 2.0, 1e5
+"""Rates of joint states [Hz] between which times are in seconds unless the mapping states their unit."""
+MIN_COUNT = 16
+"""Number of joint states that show their rate."""
 FIRST_NS = NS
 """Stamp of the first joint state if the times begin at 0 or before, which would be no valid stamp."""
 
@@ -95,6 +99,11 @@ def write_joint_state_bag(
             count, last_ns = count + 1, stamp_ns
         if not count:
             raise BagError(f"{path}: has no rows of numbers")
+        sample_rate = (count - 1) * NS / max(1, last_ns - first_ns)
+        is_assumed = isinstance(table.time, (int, str)) and "time_unit" not in table.model_fields_set
+        if is_assumed and count > MIN_COUNT and not MIN_RATE <= sample_rate <= MAX_RATE:
+            rule = f"must be stated (s, ms, us or ns): {path} would have {sample_rate:.4g} joint states per second"
+            raise SettingsError(f"{mapping}: time_unit: {rule}")
     return ImportedJointStates(count, first_ns / NS, last_ns / NS, shift_ns / NS, has_velocity, without_values)
 
 

@@ -167,3 +167,16 @@ def test_rows_of_other_topics_are_left_out_and_counted(tmp_path: Path) -> None:
     imported, states = states_of(tmp_path, "t,a,force\n1,0.5,\n1.5,,7\n2,0.25,\n", f"time: t\n{SIMPLE}")
     assert (imported.joint_states, imported.rows_without_values) == (2, 1)
     assert [state.position[0] for state in states] == [0.5, 0.25]
+
+
+@pytest.mark.parametrize("per_s", [1e3, 1e6, 1.0 / 86_400.0])
+def test_times_that_are_no_seconds_need_their_unit(tmp_path: Path, per_s: float) -> None:
+    """Milliseconds read as seconds make a robot slow; days, as MATLAB and Excel count them, make it fast."""
+    text = "t,a\n" + "".join(f"{n / 125.0 * per_s:.15g},0.5\n" for n in range(20))
+    with pytest.raises(
+        SettingsError, match=r"map.yaml: time_unit: must be stated \(s, ms, us or ns\): .*log.csv would"
+    ):
+        states_of(tmp_path, text, f"time: t\n{SIMPLE}")
+    assert not (tmp_path / "out.mcap").exists()
+    imported, _ = states_of(tmp_path, text, f"time: t\ntime_unit: s\n{SIMPLE}")
+    assert imported.joint_states == 20
