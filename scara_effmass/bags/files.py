@@ -151,7 +151,8 @@ def _open_files(bag: Path, paths: Sequence[Path], losses: LossLog) -> Bag:
             head = _head(file := uncompressed(path))
             magic = next((magic for magic in FORMATS if head.startswith(magic)), None)
             if magic is None:
-                remedy = "" if is_bag_name(path) else ", or a file that `scara-effmass import` has converted"
+                remedy = "; `scara-effmass import` converts text (CSV), TDMS and LVM: export others as CSV"
+                remedy = "" if is_bag_name(path) else remedy
                 content = f"is not a bag; expected MCAP, SQLite (rosbag2) or ROS 1{remedy}" if head else "is empty"
                 problems.append(f"{path}: {content}")
                 continue

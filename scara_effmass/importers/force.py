@@ -41,7 +41,8 @@ class ImportedTopic:
     losses: tuple[str, ...] = ()
 
 
-IMPORTERS = dict.fromkeys((".csv", ".tsv", ".txt"), "scara_effmass.importers.csv_file:open_csv") | {
+TEXT_SUFFIXES = (".csv", ".tsv", ".txt", ".asc", ".dat", ".prn", ".log")
+IMPORTERS = dict.fromkeys(TEXT_SUFFIXES, "scara_effmass.importers.csv_file:open_csv") | {
     ".tdms": "scara_effmass.importers.tdms_file:open_tdms",
     ".lvm": "scara_effmass.importers.lvm_file:open_lvm",
 }

@@ -156,7 +156,7 @@ REFUSALS: dict[str, tuple[list[str], str]] = {
     "missing bag": (["assess", "no.mcap", "-o", "a.csv"], "no.mcap: does not exist"),
     "not a bag": (
         ["assess", ROBOT, "-o", "a.csv"],
-        "is not a bag; expected MCAP, SQLite (rosbag2) or ROS 1, or a file that `scara-effmass import` has converted",
+        "is not a bag; expected MCAP, SQLite (rosbag2) or ROS 1; `scara-effmass import` converts text (CSV), TDMS",
     ),
     "wrong topic": (
         ["assess", TOUR, "-o", "a.csv", "--topic", "/arm"],

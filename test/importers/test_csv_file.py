@@ -31,7 +31,9 @@ def table(header: str, rows: Sequence[tuple[float, float]], delimiter: str = ","
 
 
 @pytest.mark.parametrize("delimiter", [",", ";", "\t"])
-@pytest.mark.parametrize("name", ["cell.csv", "cell.CSV", "cell.tsv", "cell.txt"])
+@pytest.mark.parametrize(
+    "name", ["cell.csv", "cell.CSV", "cell.tsv", "cell.txt", "cell.asc", "cell.dat", "cell.prn", "cell.log"]
+)
 def test_plain_file_becomes_blocks_of_100_ms(tmp_path: Path, delimiter: str, name: str) -> None:
     path = write(tmp_path / name, table(f"Time (s){delimiter}Force (N)", ROWS, delimiter))
     blocks = imported(path, frame_id="cell")
