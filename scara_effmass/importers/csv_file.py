@@ -52,7 +52,8 @@ NUMBER_ROWS = 3
 DIGITS = "must be digits with a decimal point, or one decimal comma in a file not separated by commas"
 TIMES = f"{DIGITS}, or in ISO 8601, or as 31.12.2025 10:11:12,345 or 2025/12/31 (day and month show in no 3/12/2025)"
 
-BRACKETED = re.compile(r".*[(\[]\s*([^()\[\]]*?)\s*[)\]]\s*")
+BRACKETED = re.compile(r".*[(\[]\s*(?!\d+\s*[)\]])([^()\[\]]*?)\s*[)\]]\s*")
+"""Name with a unit in brackets; a number in them is an index."""
 SUFFIXED = re.compile(r".*_([A-Za-z]+)\s*")
 NUMBER = re.compile(r"[\W_]*\d+")
 REPEATED = re.compile(r"\.\d+$")
@@ -113,7 +114,7 @@ def open_csv(path: Path, settings: ImportSettings) -> ForceFile:
         raise BagError(f"{path}: {header[time]}: has whole seconds, which several rows share: {rule}")
     sample_rate, blocks = uniform_samples(origin, times_ns, np.frombuffer(values))
     if time is not None and not _unit(header[time]) and iso_ns("".join(first[1][time : time + 1])) is None:
-        remedy = "head the column with Time (ms), or write dates of a spreadsheet as 2025-12-31 10:11:12.345"
+        remedy = "head the column with Time (ms), or write days of MATLAB or a spreadsheet as 2025-12-31 10:11:12.345"
         check_seconds(sample_rate, len(values), f"{path}: {header[time]}", remedy)
     return ForceFile(f"{path.name}, {header[force]}", unit, sample_rate, blocks)
 

@@ -123,7 +123,12 @@ class Midnights:
 
 
 def time_ns(text: str, ns_per_unit: int, number: Numbers | None = None) -> int:
-    """Return a time [ns]: a number in units of `ns_per_unit`, or ISO 8601. Raises ValueError or OverflowError."""
+    """Return a time [ns]: a number in units of `ns_per_unit`, or ISO 8601. Raises ValueError or OverflowError.
+
+    MATLAB writes durations with their unit, as in 0.5 sec.
+    """
+    if text.endswith(" sec"):
+        text, ns_per_unit = text.removesuffix(" sec"), NS
     if text.isdecimal() and len(text) <= MAX_DIGITS:  # a float has too few digits for nanoseconds since 1970
         stamp_ns = int(text) * ns_per_unit
     else:

@@ -141,6 +141,22 @@ def test_seconds_and_nanoseconds_in_two_columns(tmp_path: Path, header: str, set
     assert blocks[0].sample_rate == pytest.approx(100.0)
 
 
+@pytest.mark.parametrize("header", ["Time,Force (N)", "$TIMER[1],K_F_ext[2] (N)", "Time (ms),Force (N)"])
+def test_durations_of_matlab_state_their_unit(tmp_path: Path, header: str) -> None:
+    path = write(tmp_path / "cell.csv", header + "\n" + "".join(f"{time:g} sec,{force}\n" for time, force in ROWS))
+    blocks = imported(path, topic="1")
+    assert blocks[0].sample_rate == pytest.approx(100.0)
+    assert force_of(blocks) == [force for _, force in ROWS]
+
+
+@pytest.mark.parametrize("header", ["Time[0],Y[0]", "t,O_F_ext_hat_K[2]", "t,Force (1)"])
+def test_a_number_in_brackets_is_no_unit(tmp_path: Path, header: str) -> None:
+    path = write(tmp_path / "cell.csv", table(header, ROWS))
+    with pytest.raises(SettingsError, match="states no unit; state --unit"):
+        imported(path)
+    assert force_of(imported(path, unit="N")) == [force for _, force in ROWS]
+
+
 def test_long_table_takes_little_more_memory_than_its_numbers(tmp_path: Path) -> None:
     rows = 50_000
     path = write(tmp_path / "cell.csv", "t (s),f (N)\n" + "".join(f"{n / 1000:.3f},{n}\n" for n in range(rows)))
