@@ -44,6 +44,8 @@ TABLE_SETTINGS = ("rate", "time_column", "header")
 """Settings without effect on messages."""
 MIN_RATE, MAX_RATE = 20.0, 1e5
 """Rates of force [Hz] between which times without a unit are in seconds; beyond, they are milliseconds or days."""
+MIN_SAMPLES = 10
+"""Number of samples in which no impact is found, so that their rate does not matter."""
 BLOCK_TIME_S = 0.1
 """Length of an imported block."""
 HEAD = 4096
@@ -133,9 +135,9 @@ def select_unit(setting: str, stated: str, origin: str) -> str:
 def check_seconds(sample_rate: float, count: int, origin: str, remedy: str) -> None:
     """Raise BagError, with a `remedy`, if the times of `count` samples, without a unit, can hardly be in seconds.
 
-    Fewer samples than a window show no impact, whose peak and impulse would be wrong.
+    In more than MIN_SAMPLES, an impact would be found whose impulse is wrong.
     """
-    if count > WINDOW and not MIN_RATE <= sample_rate <= MAX_RATE:
+    if count > MIN_SAMPLES and not MIN_RATE <= sample_rate <= MAX_RATE:
         problem = f"states no unit, and in seconds the rate would be {sample_rate:.4g} Hz"
         raise BagError(f"{origin}: {problem}; must state the unit: {remedy}")
 

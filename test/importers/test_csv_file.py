@@ -293,6 +293,9 @@ def test_times_without_a_unit_that_are_no_seconds_are_refused(
     rows = "".join(f"{start + i / 1000.0 * per_s:.15g},{i % 7}\n" for i in range(1000))
     with pytest.raises(BagError, match=f"{name}: states no unit, and in seconds the rate would be .*; must state"):
         imported(write(tmp_path / "cell.csv", f"{name},Force (N)\n{rows}"))
+    short = "".join(rows.splitlines(keepends=True)[:12])
+    with pytest.raises(BagError, match=f"{name}: states no unit, and in seconds the rate would be"):
+        imported(write(tmp_path / "short.csv", f"{name},Force (N)\n{short}"))
     slow = "".join(f"{i},{i % 7}\n" for i in range(1000))
     assert imported(write(tmp_path / "slow.csv", f"{name} (s),Force (N)\n{slow}"))
     daily = "".join(f"2025-01-01T10:{i // 60:02}:{i % 60:02},{i % 7}\n" for i in range(1000))
