@@ -94,7 +94,9 @@ def write_joint_state_bag(
                 first_ns = state.stamp_ns + shift_ns
             stamp_ns = state.stamp_ns + shift_ns
             if count and stamp_ns <= last_ns:
-                raise BagError(f"{path}: line {line}: time: must be later than in the row before")
+                is_whole = stamp_ns == last_ns and not state.stamp_ns % NS
+                remedy = "; of whole seconds, state time: [SECONDS, NANOSECONDS], or --rate HZ" if is_whole else ""
+                raise BagError(f"{path}: line {line}: time: must be later than in the row before{remedy}")
             bag.write_joint_states("/joint_states", [state._replace(stamp_ns=stamp_ns)])
             count, last_ns = count + 1, stamp_ns
         if not count:

@@ -73,6 +73,7 @@ def test_positions_alone_give_no_velocity(tmp_path: Path) -> None:
         ("1,1000000000,3", NUMBERED.replace("0", "[0, 1]", 1), "line 1: must have numbers in columns [0, 1] (from 0)"),
         ("1,2,3\n1,2", NUMBERED, "log.csv: line 2: has 2 fields, the first row 3: must be as many"),
         (f"{HEADER}\n1,1,2,3,4,5,6\n1,1,2,3,4,5,6", MAPPING, "log.csv: line 3: time: must be later"),
+        ("0,1\n0,1", NUMBERED, "line 2: time: must be later than in the row before; of whole seconds, state time: ["),
         (f"{HEADER}\n1e30,1,2,3,4,5,6", MAPPING, "of 1970; time_unit of the mapping states s, ms, us or ns"),
         (HEADER, MAPPING, "log.csv: has no rows of numbers"),
         (f"{HEADER}\nms,rad,mrad,mm\n1,1,2,3,4,5,6", MAPPING, "line 2: a = rad: must be a number, or deg, as in the"),
