@@ -2,7 +2,8 @@
 """Last joints that move a light end, such as a jaw, count as locked in the mass matrix: free ones would decide.
 
 The end is light beside the arm, the other joints move its contact point in all directions, and free it is much lighter
-than locked. At other contact points these joints count as they are: a tool may end beside the axis of a wrist.
+than locked. Of a jaw, whose link often has no frame but that of its joint, the farthest place counts. At other contact
+points these joints count as they are: a tool may end beside the axis of a wrist.
 """
 
 from collections.abc import Iterator, Sequence
@@ -12,6 +13,8 @@ import numpy as np
 import pinocchio as pin
 
 from scara_effmass.model.robot import Robot
+from scara_effmass.model.urdf import FINGER_RAD
+from scara_effmass.values import FloatArray
 
 LIGHT_SHARE = 0.1
 """Share of the moving mass, without the heaviest body, below which an end is light."""
@@ -28,18 +31,18 @@ def hold_light_end(robot: Robot, point: str) -> Robot:
 
     `point` is the contact point at the end of the longest chain.
     """
-    model, frame = robot.model.copy(), robot.contact_frames[point]
-    last = model.frames[frame].parentJoint
+    model = robot.model.copy()
+    last = model.frames[robot.contact_frames[point]].parentJoint
     if robot.inertias_reason or last in set(model.parents):
         return robot
-    held = list[int]()
+    end, held = _end(robot, point, last), list[int]()
     for joints, mass in _light_ends(robot, last):
-        free, locked = _typical_masses(robot, frame, held, joints)
+        free, locked = _typical_masses(robot, last, end, held, joints)
         if locked >= MIN_RATIO * free and (not held or free <= mass):  # more of the arm moves with a wrist
             held = joints
     if not held:
         return robot
-    free, locked = _typical_masses(robot, frame, [], held)
+    free, locked = _typical_masses(robot, last, end, [], held)
     matrix, data = robot.rotors.matrix.copy(), model.createData()
     largest = max(float(np.diag(robot.mass_matrix(model, data, q)).max()) for q in robot.sample_configurations())
     columns = np.array(held) - 1
@@ -50,6 +53,22 @@ def hold_light_end(robot: Robot, point: str) -> Robot:
         f"{point} would be light, typically {free:.3g} in place of {locked:.3g} kg"
     )
     return replace(robot, model=model, rotors=replace(robot.rotors, matrix=matrix), notes=(*robot.notes, note))
+
+
+def _end(robot: Robot, point: str, last: int) -> FloatArray:
+    """Return the place (3,) [m], in the frame of the joint `last`, at which the end counts.
+
+    That is the contact point `point`, or of a joint that turns no farther than a finger the vertex of a hull that is
+    farthest from its axis.
+    """
+    places = [np.array([robot.model.frames[robot.contact_frames[point]].placement.translation])]
+    width = robot.model.upperPositionLimit[last - 1] - robot.model.lowerPositionLimit[last - 1]
+    if robot.revolute[last - 1] and width <= FINGER_RAD:
+        frames = robot.model.frames
+        places += [hull for name, hull in robot.hulls.items() if frames[robot.contact_frames[name]].parentJoint == last]
+    candidates = np.vstack(places)
+    distances = np.linalg.norm(np.cross(robot.axis_in_joint_frame(last), candidates), axis=1)
+    return np.asarray(candidates[int(np.argmax(distances))])
 
 
 def _light_ends(robot: Robot, last: int) -> Iterator[tuple[list[int], float]]:
@@ -65,15 +84,19 @@ def _light_ends(robot: Robot, last: int) -> Iterator[tuple[list[int], float]]:
         last = model.parents[last]
 
 
-def _typical_masses(robot: Robot, frame: int, held: Sequence[int], joints: Sequence[int]) -> tuple[float, float]:
+def _typical_masses(
+    robot: Robot, last: int, end: FloatArray, held: Sequence[int], joints: Sequence[int]
+) -> tuple[float, float]:
     """Return the median mass [kg] of the lightest direction with the joints `held` locked, and with `joints` locked.
 
-    The second one is 0 if one of `joints` is needed there.
+    It is that at `end` (3,) [m] in the frame of the joint `last`. The second one is 0 if one of `joints` is needed
+    there.
     """
     model, data = robot.model, robot.model.createData()
     some, others = ([i for i in range(model.nv) if i + 1 not in locked] for locked in (held, joints))
     poses = robot.sample_configurations()
-    jacobians = np.array([pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)[:3] for q in poses])
+    motions = np.array([pin.computeJointJacobian(model, data, q, last) for q in poses])
+    jacobians = motions[:, :3] - pin.skew(end) @ motions[:, 3:]
     matrices = np.array([robot.mass_matrix(model, data, q) for q in poses])
     singular = np.linalg.svd(jacobians[:, :, others], compute_uv=False)
     if singular.shape[1] < 3:

@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from scara_effmass import JointState, Monitor
 from scara_effmass.errors import RobotError
 from scara_effmass.model.load import build_robot
 from scara_effmass.model.robot import Robot
@@ -168,6 +169,28 @@ def test_jaw_without_a_second_one_counts_as_locked_in_the_mass_and_moves() -> No
     assert masses(stated) == masses(robot)
     free = RobotDynamics(robot).at(np.full(7, 0.3), np.array([0.0] * 6 + [1.0])).contacts[0]
     assert float(np.linalg.norm(free.velocity)) == pytest.approx(float(np.hypot(0.08, 0.02)), rel=1e-6)
+
+
+@pytest.mark.parametrize("drives", ["free", "servo"])
+def test_jaw_without_a_frame_at_its_end_allows_no_more_than_one_that_cannot_move(drives: str) -> None:
+    box = '<collision><origin xyz="0 0 0.05"/><geometry><box size="0.02 0.02 0.1"/></geometry></collision></link>'
+    text = re.sub(r"<(visual|collision)\b.*?</\1>", "", UR5.read_text(encoding="utf-8"), flags=re.DOTALL)
+    settings = MonitorSettings(drives=drives)
+
+    def allowed(kind: str) -> list[float]:
+        jaw = part("clip", 0.08).replace("</link>", box) + moved("drive", "tool0", "clip", kind=kind)
+        robot = build_robot(parse_urdf(text.replace("</robot>", f"{jaw}</robot>"), "ur5.urdf", settings), settings)
+        dynamics, speeds = RobotDynamics(robot), []
+        for velocity in np.vstack([np.eye(6), np.full(6, 0.4)]) * 0.2 + 1e-6:
+            names, rest = robot.joint_names, robot.model.nv - 6
+            position = np.append([0.3, -1.2, 1.0, 0.4, 0.9, 0.2], np.zeros(rest))
+            state = JointState(1_000_000_000, names, position, np.append(velocity, np.full(rest, 1e-7)))
+            contacts = Monitor(dynamics, settings).assess(state, now_ns=state.stamp_ns).contacts
+            speeds += [contact.allowable_speed for contact in contacts if contact.contact_point == "clip"]
+        return speeds
+
+    np.testing.assert_allclose(allowed("revolute"), allowed("fixed"), rtol=0.05)
+    assert min(allowed("fixed")) > 0.0
 
 
 def test_jaw_on_a_light_joint_counts_as_locked_with_it() -> None:
