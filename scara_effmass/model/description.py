@@ -46,13 +46,15 @@ _ROUNDING = 1e-12
 class StatedLink(NamedTuple):
     """Inertial data of one moving link as stated in the file, before fixed links and payload are added.
 
-    `com` (3,) [m] and `inertia` (3, 3) [kg m2] about it are in the axes that the file uses.
+    `com` (3,) [m] and `inertia` (3, 3) [kg m2] about it are in the axes that the file uses. `share` is that of the mass
+    of the rigid body that the link is a part of.
     """
 
     name: str
     mass: float
     com: FloatArray
     inertia: FloatArray
+    share: float = 1.0
 
     @property
     def placeholder(self) -> bool:

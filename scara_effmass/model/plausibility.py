@@ -32,6 +32,8 @@ FAR_GEOMETRY = 0.7
 MIN_DEGREES, MAX_DEGREES = 50.0, 1500.0
 """Between these, the range [rad] of a revolute joint is one in degrees if all are; a wider one means no limit."""
 WIDE_RANGE_RAD, WIDE_RANGE_M, NO_RANGE = 6.0 * math.pi + 0.01, 10.0, 1e5
+MIN_SHARE = 0.01
+"""Share of the mass of its rigid body from which on data of a link count: a frame may have a gram, and no tensor."""
 _TRIANGLE = 1e-3
 """Relative tolerance of the triangle inequality, for values rounded in the file."""
 _MASS_REMEDY = "correct the masses, or state moving_mass"
@@ -48,9 +50,9 @@ class InertialCheck(NamedTuple):
 
 def check_inertials(links: Sequence[StatedLink]) -> InertialCheck:
     """Find placeholders and impossible tensors in `links`. A pattern needs at least two links with mass."""
-    heavy = [link for link in links if link.mass > 0.0]
-    placeholders = [link.name for link in heavy if link.placeholder]
-    all_placeholders = 1 < len(heavy) == len(placeholders)
+    heavy = [link for link in links if link.mass > 0.0 and link.share >= MIN_SHARE]
+    placeholders = [link.name for link in links if link.mass > 0.0 and link.placeholder]
+    all_placeholders = len(heavy) > 1 and all(link.placeholder for link in heavy)
     masses = coms = inertias = ""
     notes: tuple[str, ...] = ()
     if all_placeholders and all(link.mass == 1.0 for link in heavy):

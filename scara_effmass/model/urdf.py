@@ -133,7 +133,11 @@ def parse_urdf(text: str, origin: str, settings: MonitorSettings) -> RobotDescri
         placed.append((point.name, frames[link].parentJoint, pose))
     hulls, unwatched, hull_notes = _hulls(tree, model, frames, fixed, placed, settings)
     notes += hull_notes
-    moving = [link for link in tree.stated if frames[link.name].parentJoint > 0]
+    moving = [
+        link._replace(share=link.mass / (model.inertias[joint].mass or 1.0))
+        for link in tree.stated
+        if (joint := frames[link.name].parentJoint) > 0
+    ]
     mass = sum(link.mass for link in moving)
     if not math.isclose(sum(body.mass for body in list(model.inertias)[1:]), mass, rel_tol=1e-9):
         raise RobotError(f"{origin}: Pinocchio does not read the <inertial> of every link: {mass:g} kg move")

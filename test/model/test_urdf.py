@@ -525,6 +525,23 @@ def test_inertias_of_some_links_give_no_full_model() -> None:
     assert RobotDynamics(parse(text)).full_reason == "no inertia tensor for fore, while other links have one"
 
 
+@pytest.mark.parametrize(("mass", "has_full"), [(1e-9, True), (1e-3, True), (0.1, False)])
+def test_a_part_of_a_link_needs_inertia_from_a_hundredth_of_the_mass_on(mass: float, *, has_full: bool) -> None:
+    """The frame of a tool often has a tiny mass and no tensor, which a simulator asks for."""
+    text = with_more(link("frame", mass, moments="0 0 0"), joint("mark", "tool", "frame", "fixed"))
+    reason = "" if has_full else "no inertia tensor for frame, while other links have one"
+    assert RobotDynamics(parse(text)).full_reason == reason
+
+
+def test_a_tiny_part_does_not_make_placeholders_data() -> None:
+    text = re.sub(r'i([xyz]{2})="[^"]*"', lambda entry: f'i{entry[1]}="{int(entry[1] in ("xx", "yy", "zz"))}"', SCARA)
+    text = re.sub(r'<mass value="[^"]*"/>', '<mass value="1"/>', text)
+    frame = link("frame", 1e-3, moments="0 0 0") + joint("mark", "tool", "frame", "fixed")
+    for part in ("", frame):
+        robot = parse(text.replace("</robot>", f"{part}</robot>"))
+        assert robot.masses_reason.startswith("every link has mass 1 and identity inertia: placeholders")
+
+
 def test_branching_robot_has_no_lumped_model() -> None:
     text = with_more(link("camera", 0.3), joint("pan", "fore", "camera"))
     dynamics = RobotDynamics(parse(text, contact_points=("tip", "camera")))
