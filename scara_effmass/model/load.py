@@ -132,11 +132,11 @@ def build_robot(stated: RobotDescription, settings: MonitorSettings) -> Robot:
     )
     if stated.tool_tip in contact_frames:
         robot = hold_light_end(robot, stated.tool_tip)
-    judged = judge(robot)
+    judged = judge(robot, links)
     robot = replace(robot, reach=judged.reach, units_reason=judged.units, notes=(*robot.notes, *judged.notes))
     masses = robot.masses_reason or judged.masses
     coms = robot.coms_reason or judged.masses
-    inertias = robot.inertias_reason or judged.masses
+    inertias = robot.inertias_reason or judged.masses or judged.inertias
     return replace(robot, masses_reason=masses, coms_reason=coms, inertias_reason=inertias)
 
 

@@ -27,6 +27,8 @@ LIGHT_LINK_DENSITY = 0.1
 """Mass of a link over its length and the square of the reach [kg/m3] below which it does not count."""
 MAX_DISTANCE_M = 5.0
 """Distance of a centre of mass from its joint, or radius of gyration, if it also exceeds three reaches."""
+MIN_GYRATION = 0.015
+"""Largest radius of gyration over the reach below which the inertia tensors do not count."""
 FAR_GEOMETRY = 0.7
 """Distance of geometry from the frame of its link over the reach; it is at most 0.5 in 55 arms, legs and humanoids."""
 MIN_DEGREES, MAX_DEGREES = 50.0, 1500.0
@@ -101,16 +103,18 @@ class Plausibility(NamedTuple):
     """Reach [m] from the first joint, why the units are certainly not SI (empty if they may be), and doubts.
 
     `masses` states why masses are too small for an arm of that reach, or placeholders; empty if they are not.
+    `inertias` states why the inertia tensors do not count.
     """
 
     reach: float
     units: str
     notes: tuple[str, ...]
     masses: str = ""
+    inertias: str = ""
 
 
-def judge(robot: Robot) -> Plausibility:
-    """Judge `robot` over its joint ranges; only the notes depend on the payload of the settings."""
+def judge(robot: Robot, links: Sequence[StatedLink]) -> Plausibility:
+    """Judge `robot` and its `links` over its joint ranges; only the notes depend on the payload of the settings."""
     model, data = robot.model, robot.model.createData()
     reach, arm_reach, gravity, matrices, jacobians = 0.0, 0.0, np.zeros(model.nv), [], []
     slides = ~np.array(robot.revolute)
@@ -133,7 +137,9 @@ def judge(robot: Robot) -> Plausibility:
         mobility = np.array(jacobians) @ np.linalg.pinv(np.array(matrices)) @ np.array(jacobians).swapaxes(1, 2)
         mass = float(np.median(3.0 / np.trace(mobility, axis1=1, axis2=2).clip(1e-12)))
     notes = (*_doubts(robot, reach, arm_reach, mass), *_hull_doubts(robot, reach), *_joint_doubts(robot, gravity))
-    return Plausibility(reach, "", notes, _too_light(robot, arm_reach) or _equal_links(robot))
+    masses = _too_light(robot, arm_reach) or _equal_links(robot)
+    inertias = "" if robot.inertias_reason else _too_compact(links, arm_reach)
+    return Plausibility(reach, "", notes, masses, inertias)
 
 
 def _limits(robot: Robot) -> tuple[FloatArray, FloatArray]:
@@ -162,6 +168,18 @@ def _too_light(robot: Robot, reach: float) -> str:
                 f"lightest arms: {_MASS_REMEDY}"
             )
     return ""
+
+
+def _too_compact(links: Sequence[StatedLink], reach: float) -> str:
+    """Return why the inertias of `links` are too small for an arm with this `reach` [m], empty if they are not."""
+    heavy = [link for link in links if link.mass > 0.0 and link.share >= MIN_SHARE]
+    radii = [math.sqrt(max(principal_moments(link.inertia)) / link.mass) for link in heavy]
+    if max(radii, default=math.inf) >= MIN_GYRATION * max(reach, MIN_REACH_M):
+        return ""
+    return (
+        f"the largest radius of gyration of a link is {max(radii):.3g} m at a reach of {reach:.3g} m, less than a "
+        "fifth of that in published arms: correct the inertias, in kg m2"
+    )
 
 
 def _equal_links(robot: Robot) -> str:

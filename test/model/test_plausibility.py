@@ -38,6 +38,7 @@ FACTORS: dict[str, list[tuple[str, tuple[str, ...], float]]] = {
     "degrees of frames": [("joint/origin", ("rpy",), DEGREES)],
     "kg mm2": [(".//inertia", MOMENTS, 1e6)],
     "g m2": [(".//inertia", MOMENTS, 1e-3)],
+    "t m2": [(".//inertia", MOMENTS, 1e-6)],
     "N mm": [("joint/limit", ("effort",), 1e3)],
 }
 """XPath, attributes and factor of a unit."""
@@ -115,6 +116,16 @@ def test_other_wrong_units(in_units: Callable[[str, str], Robot]) -> None:
         robot = in_units("ur5_robot.urdf", units)
         assert robot.units_reason == ""
         assert any(text in note for note in doubts(robot))
+
+
+@pytest.mark.parametrize("name", WITH_INERTIAS)
+def test_inertia_tensors_far_too_small_for_the_arm_do_not_count(
+    in_units: Callable[[str, str], Robot], name: str
+) -> None:
+    dynamics = RobotDynamics(in_units(name, "t m2"))
+    assert dynamics.full_reason.startswith("the largest radius of gyration of a link is 0.000")
+    assert dynamics.full_reason.endswith("correct the inertias, in kg m2")
+    assert dynamics.robot.masses_reason == dynamics.robot.coms_reason == ""
 
 
 def millimetres_grams_degrees(rows: dict[str, Any]) -> None:
