@@ -443,8 +443,9 @@ class UrdfTree:
         self.gripper = self.fingers | self._beyond(self._coupled_fingers())
         """Joints of grippers by their structure, whatever their names, which are held as the locked ones are."""
         self.locked = self.named | self.gripper
-        self.wheels = {name for name in self._moving if self._is_wheel(name)}
-        """Joints that may drive the base."""
+        driven, steered = ({name for name in self._moving if self._is_wheel(name, forks)} for forks in (0, 1))
+        self.wheels = driven or steered
+        """Joints that may drive the base: its wheels, or if it has none, those of its steered forks."""
 
     def _check_moments(self, link: StatedLink) -> None:
         """Raise RobotError for a negative principal moment of a `link` that moves."""
@@ -562,13 +563,19 @@ class UrdfTree:
         carries = self.kind(joint) != "prismatic" and any(joint in self._moving_above(other) for other in moved)
         return carries or not self._moving_above(joint).isdisjoint(moved)
 
-    def _is_wheel(self, joint: str) -> bool:
-        """Return whether `joint` is on the base and turns without end about a horizontal axis, with no more on it.
+    def _is_wheel(self, joint: str, forks: int) -> bool:
+        """Return whether `joint` turns without end about a horizontal axis, with no more on it.
 
-        Rollers may be on it. A caster turns beside wheels that are driven, and few drivers report it.
+        It is on the base, or on as many vertical `forks` that turn on the base. Rollers may be on it. A caster turns
+        beside wheels that are driven, and few drivers report it.
         """
-        if any(self.kind(name) != "continuous" for name in self._beyond({joint})) or self._moving_above(joint):
+        above = self._moving_above(joint)
+        if any(self.kind(name) != "continuous" for name in self._beyond({joint})) or len(above) != forks:
             return False
+        return self._is_horizontal(joint) and not any(map(self._is_horizontal, above))
+
+    def _is_horizontal(self, joint: str) -> bool:
+        """Return whether the axis of `joint` is nearer to horizontal than to vertical, with all joints at zero."""
         turned, axis = np.eye(3), self.joints[joint].find("axis")
         for name in self.chain(self._links_of[joint][1]):
             turned = self._origins[name].rotation @ turned

@@ -114,15 +114,19 @@ def test_position_of_a_held_joint_counts_that_shapes_the_arm() -> None:
 def test_wheels_must_be_reported_where_the_model_does_not_move_the_base() -> None:
     """Unseen, the base may drive. A steered caster, a turning scanner and one below x, y, yaw joints need not be."""
     others = (
-        *(link("caster", 1), link("caster_wheel", 1), link("scanner", 1), link("roller", 0.1)),
+        *(link("caster", 1), link("caster_wheel", 1), link("scanner", 1)),
         joint("swivel", "chassis", "caster", "continuous"),
         joint("caster_turn", "caster", "caster_wheel", "continuous", "0 1 0"),
         joint("scan", "chassis", "scanner", "continuous"),
-        joint("rolling", "left", "roller", "continuous", "1 0 0"),
     )
-    wheels = [joint.name for joint in robot_of(link("chassis", 60), *WHEELS, *others, *ARM).held if joint.is_expected]
+    roller = (link("roller", 0.1), joint("rolling", "left", "roller", "continuous", "1 0 0"))
+    wheels = [
+        joint.name for joint in robot_of(link("chassis", 60), *WHEELS, *roller, *others, *ARM).held if joint.is_expected
+    ]
     assert wheels == ["left_wheel", "right_wheel"]
     assert not any(joint.is_expected for joint in on_axes("0 0 0").held)
+    swerve = [joint.name for joint in robot_of(link("chassis", 60), *others, *ARM).held if joint.is_expected]
+    assert swerve == ["caster_turn"]  # without other wheels, a steered one drives
     parked = robot_of(link("chassis", 60), *WHEELS, *ARM, locked_joints=("*_wheel",))
     assert not any(joint.is_expected for joint in parked.held)
 
