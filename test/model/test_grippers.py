@@ -185,8 +185,9 @@ def test_jaw_without_a_frame_at_its_end_allows_no_more_than_one_that_cannot_move
             names, rest = robot.joint_names, robot.model.nv - 6
             position = np.append([0.3, -1.2, 1.0, 0.4, 0.9, 0.2], np.zeros(rest))
             state = JointState(1_000_000_000, names, position, np.append(velocity, np.full(rest, 1e-7)))
-            contacts = Monitor(dynamics, settings).assess(state, now_ns=state.stamp_ns).contacts
-            speeds += [contact.allowable_speed for contact in contacts if contact.contact_point == "clip"]
+            decision = Monitor(dynamics, settings).assess(state, now_ns=state.stamp_ns)
+            assert decision is not None
+            speeds += [contact.allowable_speed for contact in decision.contacts if contact.contact_point == "clip"]
         return speeds
 
     np.testing.assert_allclose(allowed("revolute"), allowed("fixed"), rtol=0.05)
