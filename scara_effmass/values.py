@@ -253,7 +253,7 @@ class ForceBlock(NamedTuple):
     """Consecutive samples of one force channel: `ForceBlock.msg`, field by field.
 
     `force` (n,) is read-only, in [N], compression positive, tare subtracted; `saturated_samples` are its indices
-    at the end of the measuring range.
+    whose force is not known: at the end of the measuring range, or with an open or shorted sensor.
     """
 
     stamp_ns: int
@@ -270,6 +270,11 @@ class ForceBlock(NamedTuple):
     tare: float = 0.0
     tare_stamp_ns: int = 0
     relative_uncertainty: float = 0.0
+
+    @property
+    def is_unknown(self) -> bool:
+        """Whether the force of no sample is known."""
+        return 0 < len(self.force) == len(self.saturated_samples)
 
     def lost_since(self, before: "ForceBlock | None") -> int:
         """Return the number of samples lost between the block `before` and this one.
@@ -321,7 +326,7 @@ class Impact(NamedTuple):
 class LeftOut(NamedTuple):
     """Force above the threshold that is in no impact, by `reason`: how often, the largest one [N], and its time.
 
-    `peak_force` includes the `load_force` of an earlier contact.
+    `peak_force` includes the `load_force` of an earlier contact; 0: not known.
     """
 
     reason: str
@@ -329,6 +334,11 @@ class LeftOut(NamedTuple):
     peak_force: float
     stamp_ns: int
     load_force: float = 0.0
+
+    @property
+    def size_text(self) -> str:
+        """The largest force."""
+        return f"up to {self.peak_force:.1f} N" if self.peak_force else "force not known"
 
 
 class Prediction(NamedTuple):

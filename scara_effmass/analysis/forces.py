@@ -17,7 +17,7 @@ from scara_effmass.bags.batches import LossLog, Topic
 from scara_effmass.bags.files import open_bag
 from scara_effmass.errors import BagError
 from scara_effmass.impacts.detector import Detector
-from scara_effmass.impacts.load import AC_COUPLED, LARGER_HELD, MAX_HELD_S, TENSION, left_out_text
+from scara_effmass.impacts.load import AC_COUPLED, LARGER_HELD, MAX_HELD_S, NO_SIGNAL, TENSION, left_out_text
 from scara_effmass.importers.force import IMPORTERS, import_force, import_wrenches
 from scara_effmass.importers.force_file import TABLE_SETTINGS, refuse_settings
 from scara_effmass.iso15066 import TRANSIENT_S
@@ -121,7 +121,7 @@ def check_other_forces(bag: Bag, chosen: Topic, settings: ImportSettings, detect
         detector = Detector(detection)
         contacts = detected_impacts((item.value for item in measurements(bag, topic, settings)), detector)
         peaks = [max(contact.peak_force, contact.held_force) for contact in contacts]
-        peaks += [item.peak_force for item in detector.left_out]
+        peaks += [item.peak_force for item in detector.left_out if item.peak_force]
         if peaks:
             rule = f"must be {chosen.name} or {topic.name}, which has up to {max(peaks):.1f} N, too"
             raise BagError(f"{bag.path}: --force-topic is empty: {rule}")
@@ -430,7 +430,7 @@ class RecordedContacts:
             {
                 "reason": item.reason,
                 "count": item.occurrences,
-                "peak_force_n": item.peak_force,
+                "peak_force_n": item.peak_force or None,
                 "time_s": (item.stamp_ns - self.start_ns) / NS,
             }
             for item in self.left_out
@@ -443,7 +443,7 @@ class RecordedContacts:
             "start_ns": self.start_ns,
             "samples": self.samples,
             "lost_samples": self.lost_samples,
-            "complete": not (self.losses or self.lost_samples),
+            "complete": not (self.losses or self.lost_samples or NO_SIGNAL in {item.reason for item in self.left_out}),
             "contacts": contacts,
             "left_out": left_out,
             "problems": [*self.losses, *self.doubts],

@@ -120,6 +120,7 @@ def filled(
         left_out += rest if found or rest else [LeftOutForce(**raw, reason="no contact", count=1, complete=True)]
     if not contacts:
         refused = {**validation.result.excluded, **validation.result.unpaired}
+        refused |= {item.reason: item.count for item in left_out if not item.complete}
         reasons = "; ".join(f"{count}: {reason}" for reason, count in refused.items())
         names = ", ".join(str(recording.path) for recording in validation.recordings)
         raise BagError(f"{names}: no contact ({reasons})" if reasons else f"{names}: no contact")
@@ -160,7 +161,7 @@ def _left_out(recording: ValidatedRecording, contacts: Sequence[RefusedImpact]) 
             complete=None not in peaks and reason not in {CLIPPED, INCOMPLETE},
         )
     for item in recording.left_out:
-        peak = _force(item.peak_force)
+        peak = _force(item.peak_force or math.nan)
         yield LeftOutForce(
             reason=item.reason,
             count=item.occurrences,

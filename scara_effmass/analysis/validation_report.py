@@ -170,8 +170,13 @@ def limit_text(result: Result) -> str:
     """Return the largest force on a body region relative to its limit, and what is not known, in one line."""
     others, worst = result.left_out, worst_impact(result)
     count = len(result.impacts) + others.contacts
+    unknown = (
+        f"; {result.unmeasured} clipped, incomplete, stuck or without signal: force not known"
+        if result.unmeasured
+        else ""
+    )
     if not count:
-        return NO_FORCE
+        return NO_FORCE + unknown
     if worst is None:
         force, origin = others.worst, "left out of the series" if result.impacts else NOT_CONVERTED
     else:
@@ -179,7 +184,6 @@ def limit_text(result: Result) -> str:
         origin = f"converted from a measured peak of {at_least(worst.measured_force, 0)} N"
     kind = "contacts" if others.contacts else "impacts"
     largest = f"largest {at_least(force.force, 0)} N of {at_most(force.limit, 0)} N ({force.region}), {origin}"
-    unknown = f"; {result.unmeasured} clipped, incomplete or stuck: force not known" if result.unmeasured else ""
     held = f", {result.held_alone} only by the force that stayed" if result.held_alone else ""
     return f"{result.exceedances} of {count} {kind} above the limit{held}; {largest}{unknown}"
 

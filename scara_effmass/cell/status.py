@@ -176,10 +176,18 @@ class CellStatus:
         return [name for name, simulated in (("robot", robot), ("force", any(force))) if simulated]
 
     @property
+    def unknown_force(self) -> str:
+        """Why the latest force is not known, so that an impact would not show; empty if it is."""
+        is_unknown = self._force and self._force[-1].is_unknown
+        return "force not known: sensor open, shorted or overloaded" if is_unknown else ""
+
+    @property
     def no_impact_reason(self) -> str:
         """Why no impact is shown; empty if there is one."""
         if self.impacts:
             return ""
+        if self.unknown_force:
+            return self.unknown_force
         return "no impact yet" if self._force else "no impact: no force is received, so no daq node runs in this cell"
 
     @property

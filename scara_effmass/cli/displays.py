@@ -168,6 +168,8 @@ def screen(status: CellStatus, now_ns: int, name: str, width: int, height: int, 
         lasted_s = (past.end_ns - past.start_ns) / 1e9
         cause = f"{past.contact_point}: {past.cause}".removeprefix(": ")
         parts.append(Text(f"before: {past.verdict.name} until {ago_s:.0f} s ago, for {lasted_s:.2f} s: {cause}"))
+    if status.unknown_force:
+        parts.append(Text(status.unknown_force, style="bold"))
     if status.impacts:
         parts.append(Text(_impact_text(status.impacts[-1], now_ns)))
     used = len(Console(width=width).render_lines(Group(*parts)))

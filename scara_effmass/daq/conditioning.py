@@ -88,6 +88,8 @@ class SignalConditioner:
             sample_rate, residual = self.clock.sample_rate, self.clock.residual
         else:
             stamp_ns = reading.read_ns
+        for channel, fault in zip(self.channels, reading.faults or [""] * len(self.channels), strict=True):
+            channel.fault = fault
         force = reading.samples * self._sign
         stated = reading.relative_uncertainty
         common = ForceBlock(
@@ -132,6 +134,8 @@ class ForceChannel:
         """Published samples."""
         self.saturated = 0
         """Published samples that are saturated."""
+        self.fault = ""
+        """What is wrong with the sensor; empty if nothing is."""
         self.tare = 0.0
         """[N]"""
         self.tare_stamp_ns = 0
@@ -269,7 +273,7 @@ class Tare:
         valid = ~self._saturated.reshape(PARTS, -1).any(axis=1)
         means = self._force.reshape(PARTS, -1)[valid].mean(axis=1)
         if means.size < MIN_PARTS:
-            return "refused: the force was at the end of the measuring range"
+            return "refused: the force was at the end of the measuring range, or the sensor open or shorted"
         zero = float(np.median(means))
         if np.count_nonzero(np.abs(means - zero) <= self._tolerance) < MIN_PARTS:
             return f"refused: the force moved by {np.ptp(means):.3g} N, tare.tolerance is {self._tolerance:g} N"

@@ -18,6 +18,13 @@ from scara_effmass.errors import DaqError
 from scara_effmass.settings import DaqSettings
 from scara_effmass.values import BoolArray, FloatArray
 
+OVERLOAD = "overloaded"
+SENSOR_FAULTS = {
+    "open": "the sensor is open",
+    "open_current_loop": "the sensor is open",
+    "overcurrent": "the sensor is shorted",
+}
+"""Faults of a sensor, by the driver's name of its channels. Each module detects some of them, or none."""
 BUFFER_TIME_S = 10.0
 """Size of the driver's buffer: reading may pause for this time without a loss."""
 
@@ -28,7 +35,8 @@ class Ni9230Source(ForceSource):
 
     The driver returns samples without a gap or fails, so `Reading.lost` is 0; after an OverrunError or a
     DeviceLostError, the caller determines from the time what is missing. The driver states that a channel was
-    overloaded, but not when: its samples at the limit are marked as saturated or, if there are none, all of them.
+    overloaded, but not when: its samples at the limit are marked as saturated or, if there are none, all of them. An
+    open or shorted sensor reads zero as at rest: all samples of its channel are marked, and `Reading.faults` names it.
     """
 
     def __init__(self, settings: DaqSettings, now_ns: Callable[[], int]) -> None:
@@ -83,10 +91,11 @@ class Ni9230Source(ForceSource):
                 return None
             # After a partial read, the channels directly follow each other in the buffer.
             samples = self._buffer[: len(self.channels) * count].reshape(len(self.channels), count).copy()
-            saturated = self._saturated(samples)
+            faults = self._faults()
+            saturated = self._saturated(samples, faults)
             samples.flags.writeable = False
             first, self._next = self._next, self._next + count
-            return Reading(first, samples, 0, self._read_ns, saturated=saturated)
+            return Reading(first, samples, 0, self._read_ns, saturated=saturated, faults=faults)
 
     def close(self) -> None:
         """Stop acquiring and release the device; a `read` in progress returns None."""
@@ -135,7 +144,7 @@ class Ni9230Source(ForceSource):
         self._buffer = np.empty(len(inputs) * self._block)
         self._reader = AnalogMultiChannelReader(task.in_stream)
         self._reader.verify_array_shape = False  # saves a call of the driver
-        self._detects_overload = True
+        self._detected = {OVERLOAD, *SENSOR_FAULTS}
 
     def _delay(self, channel: Any) -> float:  # noqa: ANN401 - nidaqmx has no types
         """Return the delay of the converter's filter [s] from the driver or, if it states none, from the settings."""
@@ -172,22 +181,40 @@ class Ni9230Source(ForceSource):
         missing = 0 if acquired is None else int(acquired) - self._next - count
         return f"; {missing} samples were acquired and not read" if missing > 0 else ""
 
-    def _saturated(self, samples: FloatArray) -> BoolArray | None:
-        if not self._detects_overload:
-            return None
+    def _faults(self) -> tuple[str, ...]:
+        """Return the fault of each channel's sensor since the last read; () if there is none."""
+        faults = [""] * len(self.channels)
+        for status, fault in SENSOR_FAULTS.items():
+            for row in np.flatnonzero(self._affected(status)):
+                faults[row] = f"{fault}: check sensor and cable"
+        return tuple(faults) if any(faults) else ()
+
+    def _saturated(self, samples: FloatArray, faults: tuple[str, ...]) -> BoolArray | None:
+        overloaded, at_limit = self._affected(OVERLOAD)[:, np.newaxis], np.abs(samples) >= self.limit
+        marks: BoolArray = overloaded & (at_limit | ~at_limit.any(axis=1, keepdims=True))
+        if faults:
+            marks[np.array(faults) != ""] = True
+        marks.flags.writeable = False
+        return marks if marks.any() else None
+
+    def _affected(self, status: str) -> BoolArray:
+        """Return a mask of the channels for which the driver states `status`; it does so once for each event."""
+        rows = np.zeros(len(self.channels), np.bool_)
+        if status not in self._detected:
+            return rows
         stream = self._task.in_stream
         try:
-            rows = np.isin(self._task.channel_names, stream.overloaded_chans if stream.overloaded_chans_exist else ())
+            exist = getattr(stream, f"{status}_chans_exist")
         except errors.Error:
-            # Not every module detects overload. If the device is lost instead, the next read raises.
-            self._detects_overload = False
-            return None
-        if not rows.any():
-            return None
-        at_limit = np.abs(samples) >= self.limit
-        marks: BoolArray = rows[:, np.newaxis] & (at_limit | ~at_limit.any(axis=1, keepdims=True))
-        marks.flags.writeable = False
-        return marks
+            # Not every module detects each status. If the device is lost instead, the next read raises.
+            self._detected.remove(status)
+            return rows
+        if exist:
+            with suppress(errors.Error):
+                rows |= np.isin(self._task.channel_names, getattr(stream, f"{status}_chans"))
+            if not rows.any():  # the driver does not state which
+                rows[:] = True
+        return rows
 
     def _clear(self) -> None:
         task, self._task = self._task, None

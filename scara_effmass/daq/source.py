@@ -22,7 +22,10 @@ class Reading(NamedTuple):
     clock_residual: float = 0.0
     """Uncertainty of `stamp_ns` [s]."""
     saturated: BoolArray | None = None
-    """(channels, n), marks samples at the end of the measuring range; None if there are none."""
+    """(channels, n), marks samples whose force is not known: at the end of the measuring range, or with a fault of the
+    sensor; None if there are none."""
+    faults: tuple[str, ...] = ()
+    """What is wrong with the sensor of each channel, empty for a sound one; () if nothing is."""
     run: int = 0
     """Increases when the source restarts and its clock must be estimated again."""
     relative_uncertainty: float | None = None

@@ -136,7 +136,8 @@ class Detector:
     `settings.longest`; and `tensile_pulses`, which would be impacts if the sign of the force were inverted, and hint at
     a wrong `sensor.invert`. Pulses that follow a contact do not count, because AC coupling and ringing respond to
     compression with tension. Force below the baseline for BASELINE_FRAMES frames does not count either: it is a load
-    that was removed. `left_out` counts, with its peak, all force above the threshold that is in no impact.
+    that was removed. `left_out` counts, with its peak, all force above the threshold that is in no impact, and without
+    one each stretch of saturated samples at the baseline, as of an open sensor.
 
     Detectors that start at different samples of a stream return the same impacts to the last bit once they have
     settled: after BASELINE_FRAMES + 3 consecutive quiet frames (0.4 s at 12.8 kS/s) and `settings.rebound_time`
@@ -197,7 +198,7 @@ class Detector:
     def _begin(self, first_sample: int) -> None:
         """Expect samples that do not continue the previous ones."""
         self._buffer = SampleBuffer(first_sample)
-        self._processed = self._counted = first_sample
+        self._processed = self._counted = self._seen = first_sample
         self._segment_start: int | None = None
         self._quiet_frames = self._frames_below = 0
         self._previous_quiet: Frame | None = None
@@ -237,11 +238,22 @@ class Detector:
         impacts: list[Impact] = []
         while (stop := self._frame_end(self._processed)) <= self._buffer.end:  # the first frame may be incomplete
             frame = Frame(self._buffer.samples(self._processed, stop))
+            self._count_unknown(frame, self._processed, stop)
             self._processed = stop
             impacts += self._process(frame) if self._settled else self._search_baseline(frame)
         needed = self._processed - self._frame_size if self._settled else self._held_from - self._frame_size
         self._buffer.discard_before(needed if self._segment_start is None else min(needed, self._segment_start))
         return impacts
+
+    def _count_unknown(self, frame: Frame, start: int, stop: int) -> None:
+        """Count the frame of the samples [start, stop) and take it for missing if all are saturated by no contact."""
+        is_contact = frame.high > self._baseline.force + self._baseline.threshold
+        if is_contact or not self._buffer.saturated(start, stop).all():
+            return
+        frame.is_present = False
+        if stop > self._seen:
+            self.left_out.add_unknown(self._stamp_ns(start), start, stop)
+            self._seen = stop
 
     def _search_baseline(self, frame: Frame) -> list[Impact]:
         """Search for a baseline; once it is known, process the held samples again. Return a contact that ends."""

@@ -23,6 +23,7 @@ LATER_LOAD = "load that goes on after its contact was reported"
 SLOW_CHANGE = "slow change: drift, or a press that comes and goes slowly"
 IN_NOISE = "within the noise: less than noise_factor times its standard deviation"
 TENSION = "below the baseline: tension, an earlier load that goes, or a wrong sign"
+NO_SIGNAL = "no valid sample: sensor open, shorted or overloaded"
 AC_COUPLED = "AC coupl"
 """In the source of a force whose constant part the converter removes: what stays decays within seconds."""
 LARGER_HELD = "AC coupling removes a force that stays: held forces are larger than measured"
@@ -35,6 +36,7 @@ class LeftOuts:
 
     def __init__(self) -> None:
         self._by_reason: dict[str, LeftOut] = {}
+        self._unknown_end = -1
 
     def add(self, reason: str, peak: float, stamp_ns: int, count: int = 1, load: float = 0.0) -> None:
         """Count an event with its `peak` and the `load` in it [N]; a `count` of 0 continues the latest one."""
@@ -43,6 +45,11 @@ class LeftOuts:
             known = known._replace(peak_force=peak, stamp_ns=stamp_ns, load_force=load)
         self._by_reason[reason] = known._replace(occurrences=max(known.occurrences + count, 1))
 
+    def add_unknown(self, stamp_ns: int, start: int, stop: int) -> None:
+        """Count the samples [start, stop), whose force is not known; together with those before them if adjacent."""
+        self.add(NO_SIGNAL, 0.0, stamp_ns, start != self._unknown_end)
+        self._unknown_end = stop
+
     def __iter__(self) -> Iterator[LeftOut]:
         """Yield the counts, the largest peak first."""
         return iter(sorted(self._by_reason.values(), key=lambda item: -item.peak_force))
@@ -50,7 +57,7 @@ class LeftOuts:
 
 def left_out_text(item: LeftOut) -> str:
     """Return how often force was left out, and the largest one."""
-    return f"{item.occurrences}: {item.reason} (up to {item.peak_force:.1f} N)"
+    return f"{item.occurrences}: {item.reason} ({item.size_text})"
 
 
 def peak_text(impact: Impact) -> str:

@@ -33,7 +33,7 @@ from scara_effmass.impacts.impact_matcher import (
     ImpactMatcher,
     MatchedImpact,
 )
-from scara_effmass.impacts.load import AC_COUPLED, LOADS
+from scara_effmass.impacts.load import AC_COUPLED, LOADS, NO_SIGNAL
 from scara_effmass.impacts.segment import STUCK
 from scara_effmass.impacts.state_history import MODELS, ClockOffset, Rejection, clock_offset
 from scara_effmass.iso15066 import limits_for
@@ -104,7 +104,8 @@ class Result(NamedTuple):
     `left_out` are the contacts left out of the series and the force in no impact; their peaks are converted with the
     most unfavourable impact of the series, without a series as measured. Rebounds no larger than their impact count
     with it. `exceedances` counts the impacts with a force above a limit, and those of `left_out`. `unmeasured` counts
-    the contacts whose peak is not known, because they were clipped, incomplete or stuck.
+    the contacts whose peak is not known, because they were clipped, incomplete or stuck, and once stretches without
+    signal, as of an open sensor.
     """
 
     model: str
@@ -322,7 +323,7 @@ class Validator:
             ac_coupled=self._ac_coupled,
             left_out=summary.left_out,
             exceedances=statistics.exceedances,
-            unmeasured=sum(reason in {CLIPPED, INCOMPLETE, STUCK} for reason in reasons),
+            unmeasured=sum(reason in {CLIPPED, INCOMPLETE, STUCK, NO_SIGNAL} for reason in reasons),
             accepted=statistics.accepted,
             decidable=statistics.decidable,
             reason=statistics.reason,

@@ -23,7 +23,7 @@ from scara_effmass.codes import Reason
 from scara_effmass.daq import make_source
 from scara_effmass.daq.acquisition import Acquisition, AcquisitionState
 from scara_effmass.daq.conditioning import ForceChannel, SignalConditioner
-from scara_effmass.daq.source import ForceSource
+from scara_effmass.daq.source import ForceSource, Reading
 from scara_effmass.errors import DaqError, EffmassError, SettingsError
 from scara_effmass.impacts.criterion import impact_count
 from scara_effmass.impacts.detector import Detector
@@ -69,6 +69,7 @@ class DaqNode(LifecycleBase[NodeSettings]):
         self._outputs: list[_Output] = []
         self._acquisition: Acquisition | None = None
         self._state: AcquisitionState | None = None
+        self._faults: tuple[str, ...] = ()
         self._drain_is_due = False
         self._is_over = False
         self.add_on_set_parameters_callback(self._on_set_clock)
@@ -113,6 +114,7 @@ class DaqNode(LifecycleBase[NodeSettings]):
         acquisition.start()
         self._acquisition = acquisition
         self._signal = SignalConditioner(source, self.settings)
+        self._faults = ()
         for output in self._outputs:
             output.reset()
         requested = "" if source.sample_rate == source.requested_rate else f" (requested: {source.requested_rate:.9g})"
@@ -180,13 +182,7 @@ class DaqNode(LifecycleBase[NodeSettings]):
         if acquisition is None or not self.active:
             return
         for reading in acquisition.take():
-            channels = list(zip(self._outputs, self._signal.blocks(reading), strict=True))
-            # Separate loops: a step takes half the time right after the same step of another channel.
-            for output, blocks in channels:
-                output.publish(blocks)
-            for output, blocks in channels:
-                for block in blocks:
-                    self._publish_impacts(output, output.detector.feed(block))
+            self._publish_reading(reading)
         state = acquisition.state
         if state is not self._state:
             if AcquisitionState.WAITING in {state, self._state}:
@@ -201,6 +197,18 @@ class DaqNode(LifecycleBase[NodeSettings]):
             raise acquisition.failure
         if acquisition.ended:
             self._on_end(acquisition.statistics().reason)
+
+    def _publish_reading(self, reading: Reading) -> None:
+        channels = list(zip(self._outputs, self._signal.blocks(reading), strict=True))
+        # Separate loops: a step takes half the time right after the same step of another channel.
+        for output, blocks in channels:
+            output.publish(blocks)
+        for output, blocks in channels:
+            for block in blocks:
+                self._publish_impacts(output, output.detector.feed(block))
+        if reading.faults != self._faults:
+            self._faults = reading.faults
+            self._diagnostics.report()
 
     def _finish_detection(self) -> None:
         if self.context.ok():
@@ -358,7 +366,9 @@ def _source_status(acquisition: Acquisition, signal: SignalConditioner) -> Diagn
 
 def _channel_status(channel: ForceChannel, detector: Detector, impacts: int, rebounds: int) -> DiagnosticStatus:
     problem, level = "", None
-    if channel.lost and not channel.samples:
+    if channel.fault:
+        problem, level = channel.fault, DiagnosticStatus.ERROR
+    elif channel.lost and not channel.samples:
         problem, level = f"no usable sample, {channel.lost} lost", DiagnosticStatus.ERROR
     elif channel.tare_problem:
         problem = channel.tare_problem
@@ -367,7 +377,7 @@ def _channel_status(channel: ForceChannel, detector: Detector, impacts: int, reb
     elif detector.tensile_pulses:
         problem = f"{detector.tensile_pulses} tensile pulses: check sensor.invert"
     elif channel.saturated:
-        problem = f"{channel.saturated} samples at the end of the measuring range"
+        problem = f"{channel.saturated} samples at the end of the measuring range, or of a sensor with a fault"
     elif channel.lost:
         problem = f"{channel.lost} samples lost"
     values = {
@@ -377,6 +387,7 @@ def _channel_status(channel: ForceChannel, detector: Detector, impacts: int, reb
         "delay of the low-pass [ms]": f"{1e3 * channel.lowpass_delay:.3f}",
         "tare [N]": f"{channel.tare:.4g}",
         "tare stamp [s]": f"{channel.tare_stamp_ns / 1e9:.6f}" if channel.tare_stamp_ns else "never",
+        "sensor fault": channel.fault,
         "taring": channel.taring,
         "tare refused": channel.tare_problem,
         "baseline known": detector.settled,
@@ -388,7 +399,7 @@ def _channel_status(channel: ForceChannel, detector: Detector, impacts: int, reb
         "tensile pulses": detector.tensile_pulses,
     }
     for item in detector.left_out:
-        values[f"left out: {item.reason}"] = f"{item.occurrences}, up to {item.peak_force:.1f} N"
+        values[f"left out: {item.reason}"] = f"{item.occurrences}, {item.size_text}"
     message = f"{impact_count(impacts)}, rebounds: {rebounds}"
     return status(f"channel {channel.name}", message, values, problem=problem, level=level)
 

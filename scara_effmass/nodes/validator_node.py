@@ -114,7 +114,10 @@ class ValidatorNode(LifecycleBase[NodeSettings]):
         if self.settings.find_impacts:
             for impact in self._detector.feed(block):
                 self._on_impact(impact)
-            self._validator.leave_out(self._detector.left_out)
+        elif block.is_unknown:  # daq_node publishes no impact of it
+            stop = block.first_sample + len(block.force)
+            self._detector.left_out.add_unknown(block.stamp_ns, block.first_sample, stop)
+        self._validator.leave_out(self._detector.left_out)
 
     def _on_run_info(self, data: bytes) -> None:
         try:
@@ -226,7 +229,9 @@ def series_status(
     if result.left_out.exceedances:
         problems.append(f"left out of the series and above a limit: {_force_text(result.left_out.worst)}")
     if result.unmeasured:
-        problems.append(f"{result.unmeasured} contacts clipped, incomplete or stuck: their force is not known")
+        problems.append(
+            f"{result.unmeasured} contacts clipped, incomplete, stuck or without signal: their force is not known"
+        )
     if result.ac_coupled:
         problems.append(LARGER_HELD)
     problems += [result.clock, result.force_sign, unheard]

@@ -31,6 +31,7 @@ from scara_effmass.analysis.protocol import (
 from scara_effmass.analysis.protocol_evaluation import evaluate, evaluated, filled, overall, write_report
 from scara_effmass.analysis.report import PageOptions
 from scara_effmass.analysis.validation import Validation, ValidationSettings, validate
+from scara_effmass.analysis.validation_report import summary_lines
 from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError, SettingsError
@@ -856,8 +857,20 @@ def test_a_recording_without_a_contact_is_refused(
     campaign: list[Path], dynamics: RobotDynamics, altered: Altered
 ) -> None:
     quiet = altered(campaign[0], block=lambda block: block._replace(force=1e-3 * block.force))
-    with pytest.raises(BagError, match="no contact"):
+    with pytest.raises(BagError, match=r"no contact$"):
         entered(validate([quiet], dynamics, ValidationSettings()))
+
+
+def test_a_recording_of_an_open_sensor_is_not_said_to_have_no_contact_alone(
+    campaign: list[Path], dynamics: RobotDynamics, altered: Altered
+) -> None:
+    def is_open(block: ForceBlock) -> ForceBlock:
+        return block._replace(force=0.0 * block.force, saturated_samples=np.arange(len(block.force), dtype=np.uint32))
+
+    validation = validate([altered(campaign[0], block=is_open)], dynamics, ValidationSettings())
+    assert "without signal: force not known" in dict(summary_lines(validation))["limit"]
+    with pytest.raises(BagError, match=r"no contact \(.*1: no valid sample: sensor open"):
+        entered(validation)
 
 
 def test_all_other_force_of_the_recordings_is_entered(

@@ -279,7 +279,7 @@ def test_a_refused_contact_is_listed_with_its_load_and_what_stayed(validation: V
 @pytest.mark.parametrize(
     ("changes", "word", "statement"),
     [
-        ({"unmeasured": 1}, "Force not known", "1 clipped, incomplete or stuck: force not known"),
+        ({"unmeasured": 1}, "Force not known", "1 clipped, incomplete, stuck or without signal: force not known"),
         (
             {"left_out": ComparedForces(1, 1, RegionForce("lower_leg", 895.0, 260.0, "")), "exceedances": 1},
             "Force above a limit",

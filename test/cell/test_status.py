@@ -78,6 +78,11 @@ def test_empty_panels_say_why() -> None:
     status = CellStatus(0)
     for reason in (status.no_impact_reason, status.no_validation_reason):
         assert reason == "no impact: no force is received, so no daq node runs in this cell"
+    block = ForceBlock(S, "cell", 0, 1000.0, np.zeros(100))
+    status.take_force(block)
+    assert (status.no_impact_reason, status.unknown_force) == ("no impact yet", "")
+    status.take_force(block._replace(saturated_samples=np.arange(100, dtype=np.uint32)))
+    assert status.no_impact_reason == status.unknown_force == "force not known: sensor open, shorted or overloaded"
     status.take_impact(impact(), S)
     assert status.no_impact_reason == ""
     assert status.no_validation_reason.startswith("no impact is validated: no validator runs")

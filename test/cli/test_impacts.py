@@ -19,6 +19,7 @@ from scara_effmass.wire.force import force_block_message
 from scara_effmass.wire.message_types import FORCE_BLOCK, WRENCH_STAMPED
 from test.bags.messages import header, message, serialized
 from test.cli.conftest import Cli, Refused
+from test.daq.force_bag import force_block, write_blocks
 
 CASES = Path(__file__).parents[1] / "recordings" / "contacts"
 BAGS = Path(__file__).parents[2] / "bags"
@@ -130,6 +131,17 @@ def test_a_part_that_cannot_be_read_is_said(cli: Cli, tmp_path: Path, name: str)
     assert not recording["complete"]
     assert "cut off" in recording["problems"][0]
     assert re.search(rf"not read +{path}: (is )?cut off", cli("impacts", path).stdout)
+
+
+def test_an_open_sensor_is_no_force_of_zero(cli: Cli, tmp_path: Path) -> None:
+    noise = np.random.default_rng(0).normal(0.0, 0.1, 4000)
+    marks = np.arange(1000, dtype=np.uint32)
+    blocks = [force_block(n, 1000, force=noise[n : n + 1000]) for n in range(0, 4000, 1000)]
+    blocks[2] = blocks[2]._replace(saturated_samples=marks)
+    (recording,) = json.loads(cli("impacts", write_blocks(tmp_path / "a.mcap", blocks), "--json").stdout)["recordings"]
+    (left_out,) = recording["left_out"]
+    assert (left_out["count"], left_out["peak_force_n"], recording["complete"]) == (1, None, False)
+    assert left_out["reason"] == "no valid sample: sensor open, shorted or overloaded"
 
 
 def test_recordings_of_the_nodes_are_read(cli: Cli) -> None:

@@ -3,6 +3,7 @@
 
 import math
 import threading
+from collections import Counter
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -19,6 +20,9 @@ START_NS = 1_767_225_600_000_000_000
 MAX_RATE = 12_800.0
 FULL_SCALE_V = 30.0
 PATIENCE_S = 120.0
+
+OVERLOADED, OPEN, OPEN_LOOP, OVERCURRENT = 0x2174, 0x3100, 0x2A09, 0x29E6
+"""Numbers of the statuses of channels."""
 
 MESSAGES = {
     -200430: "I/O type of the physical channel cannot do that.",
@@ -74,8 +78,11 @@ class NiDevice(BaseInterpreter):  # type: ignore[misc]  # untyped
         self.simulated = False
         self.reserved = False
         self.overloaded: set[str] = set()
-        self.detects_overload = True
-        self.overload_queries = 0
+        self.undetected: set[int] = set()
+        """Numbers of the statuses that the module does not support."""
+        self.open: set[str] = set()
+        self.shorted: set[str] = set()
+        self.queries: Counter[int] = Counter()
         self.filter_delay: tuple[float, DigitalWidthUnits] | None = None
         self.states_limit = True
         self.tasks: dict[int, NiTask] = {}
@@ -84,7 +91,7 @@ class NiDevice(BaseInterpreter):  # type: ignore[misc]  # untyped
         """Whether a read blocks until its task is aborted."""
         self.waiting = threading.Event()
         self._faults: list[tuple[str, int, int]] = []
-        self._overloads_asked = False
+        self._statuses_asked: set[int] = set()
 
     def clock(self) -> int:
         """Return the time [ns]."""
@@ -327,23 +334,29 @@ class NiDevice(BaseInterpreter):  # type: ignore[misc]  # untyped
         return self._acquired(self._known(task))
 
     def get_read_attribute_bool(self, task: int, attribute: int) -> bool:
-        assert attribute == 0x2174
         self._known(task)
-        self.overload_queries += 1
-        if not self.detects_overload:
+        self.queries[attribute] += 1
+        if attribute in self.undetected:
             raise error(-200452)
-        self._overloads_asked = True
-        return bool(self.overloaded)
+        self._statuses_asked.add(attribute)
+        return bool(self._status(attribute))
 
     def get_read_attribute_string(self, task: int, attribute: int, size_hint: int = 0) -> str:
-        assert attribute == 0x2175
         self._known(task)
-        if not self._overloads_asked:
+        if attribute - 1 not in self._statuses_asked:
             raise error(-200362)
-        names = ", ".join(sorted(self.overloaded))
+        names = ", ".join(sorted(self._status(attribute - 1)))
         assert len(names) < size_hint
-        self.overloaded, self._overloads_asked = set(), False
+        self._statuses_asked.discard(attribute - 1)
+        self._status(attribute - 1).clear()
+        self._check("get_read_attribute_string")
         return names
+
+    def _status(self, attribute: int) -> set[str]:
+        """Return the channels with the status of this number, which a query of their names clears."""
+        return {OVERLOADED: self.overloaded, OPEN: self.open, OPEN_LOOP: self.open, OVERCURRENT: self.shorted}[
+            attribute
+        ]
 
     def _known(self, task: int) -> NiTask:
         if task not in self.tasks:

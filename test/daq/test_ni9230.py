@@ -39,7 +39,7 @@ from scara_effmass.errors import (
 from scara_effmass.impacts.load import AC_COUPLED
 from scara_effmass.settings import DaqSettings, checked
 from scara_effmass.values import FloatArray
-from test.daq.conftest import NiDevice
+from test.daq.conftest import OPEN, OPEN_LOOP, OVERCURRENT, OVERLOADED, NiDevice
 
 Open = Callable[..., Ni9230Source]
 
@@ -367,14 +367,39 @@ def test_overload_without_samples_at_the_limit_marks_all(ni_device: NiDevice, st
     np.testing.assert_array_equal(marks.sum(axis=1), [BLOCK, 0])
 
 
+@pytest.mark.parametrize("status", [OPEN, OPEN_LOOP])
+def test_open_sensor_marks_all_samples_of_its_channel(status: int, ni_device: NiDevice, started: Open) -> None:
+    source = started(ni9230__channels=("cDAQ1Mod1/ai0", "cDAQ1Mod1/ai1"))
+    ni_device.signal = lambda _, numbers: np.zeros(len(numbers))
+    ni_device.undetected = {OPEN, OPEN_LOOP} - {status}
+    ni_device.open = {"cDAQ1Mod1/ai1"}
+    reading = got(source.read(1.0))
+    assert reading.faults == ("", "the sensor is open: check sensor and cable")
+    assert reading.saturated is not None
+    np.testing.assert_array_equal(reading.saturated.sum(axis=1), [0, BLOCK])
+    reading = got(source.read(1.0))
+    assert (reading.faults, reading.saturated) == ((), None)
+
+
+def test_fault_of_an_unnamed_channel_is_that_of_all(ni_device: NiDevice, started: Open) -> None:
+    source = started(ni9230__channels=("cDAQ1Mod1/ai0", "cDAQ1Mod1/ai1"))
+    ni_device.shorted = {"cDAQ1Mod1/ai1"}
+    ni_device.fail("get_read_attribute_string", -200452)
+    reading = got(source.read(1.0))
+    assert reading.faults == ("the sensor is shorted: check sensor and cable",) * 2
+    assert reading.saturated is not None
+    assert reading.saturated.all()
+
+
 def test_module_without_overload_detection_is_read(ni_device: NiDevice, started: Open) -> None:
-    ni_device.detects_overload = False
+    ni_device.undetected = {OVERLOADED, OPEN, OPEN_LOOP, OVERCURRENT}
     source = started()
     for number in range(3):
         reading = got(source.read(1.0))
         assert reading.first_sample == number * BLOCK
         assert reading.saturated is None
-    assert ni_device.overload_queries == 1
+        assert reading.faults == ()
+    assert ni_device.queries == dict.fromkeys(ni_device.undetected, 1)
 
 
 def test_device_lost_after_an_overload_is_lost_at_the_next_read(ni_device: NiDevice, started: Open) -> None:

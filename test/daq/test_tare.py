@@ -13,6 +13,7 @@ from scara_effmass.values import FloatArray
 RATE = 1000.0
 N = 500
 NONE = np.empty(0, np.uint32)
+REFUSED = "refused: the force was at the end of the measuring range, or the sensor open or shorted"
 
 
 def noise(seed: int = 0, sigma: float = 0.1) -> FloatArray:
@@ -66,7 +67,7 @@ def test_changing_force_is_refused(moving: FloatArray) -> None:
 
 
 def test_saturated_sensor_is_refused_after_three_parts() -> None:
-    assert tare_of(np.full(N, 2224.0), slice(None)) == "refused: the force was at the end of the measuring range"
+    assert tare_of(np.full(N, 2224.0), slice(None)) == REFUSED
     force = 2.0 + noise()
     force[200:340] = 2224.0  # three of the ten parts
     assert tare_of(force, slice(200, 340)) == pytest.approx(2.0, abs=0.03)

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+from scara_effmass.impacts.load import NO_SIGNAL
 from scara_effmass.settings import DetectionSettings
 from scara_effmass.values import FloatArray
 from test.impacts.conftest import AddPulse, Detect
@@ -183,6 +184,22 @@ def test_a_clipped_impact(detect: Detect, add_pulse: AddPulse) -> None:
     assert unmarked.incomplete
     assert unmarked.peak_force <= 2224.1
     assert detector.dropouts == 1
+
+
+@pytest.mark.parametrize("level", [None, 0.0, -2224.0])
+@pytest.mark.parametrize("first", [0, 12_800])
+def test_a_sensor_that_is_open_for_two_times_counts_twice(
+    detect: Detect, add_pulse: AddPulse, level: float | None, first: int
+) -> None:
+    force = np.random.default_rng(0).normal(0.0, BENCH_NOISE, 80_000)
+    marks = np.r_[first : first + 6_400, 51_200:57_600]
+    if level is not None:
+        force[marks] = level
+    add_pulse(force, 40_000, 10e-3, 100.0)
+    (impact,), detector = detect(force, cuts=range(0, 80_000, 999), saturated=marks.tolist())
+    assert not impact.clipped
+    (left_out,) = (item for item in detector.left_out if item.reason == NO_SIGNAL)
+    assert (left_out.occurrences, left_out.size_text) == (2, "force not known")
 
 
 @pytest.mark.parametrize("rate", [20.0, 33.3, 100.0])

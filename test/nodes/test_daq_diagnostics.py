@@ -15,6 +15,7 @@ from scara_effmass.daq.source import Reading
 from scara_effmass.impacts.detector import Detector
 from scara_effmass.nodes.daq_node import daq_statuses
 from scara_effmass.settings import DaqSettings, checked
+from test.daq.conftest import NiDevice
 from test.daq.force_bag import force_block, write_blocks
 
 WAIT_S = 20.0
@@ -38,6 +39,30 @@ def test_channel_status_has_the_filter_delay_of_the_blocks() -> None:
     source.close()
     assert float(values["delay of the low-pass [ms]"]) == pytest.approx(1e3 * block.filter_delay, abs=1e-3)
     assert block.filter_delay > 0.0
+
+
+def test_open_sensor_is_an_error_of_its_channel(monkeypatch: pytest.MonkeyPatch) -> None:
+    ni_device = NiDevice()
+    monkeypatch.setattr("nidaqmx.utils._select_interpreter", lambda *_, **__: ni_device)
+    settings = checked(DaqSettings, {"ni9230.channels": ["cDAQ1Mod1/ai0", "cDAQ1Mod1/ai1"]}, "test")
+    source = make_source(settings, ni_device.clock)
+    source.start()
+    ni_device.signal = lambda _, numbers: np.zeros(len(numbers))
+    signal = SignalConditioner(source, settings)
+    acquisition = Acquisition(source, settings, lambda: None)
+    levels = []
+    for is_open in (True, False):
+        ni_device.open = {"cDAQ1Mod1/ai1"} if is_open else set()
+        reading = source.read(1.0)
+        assert reading is not None
+        _, (block,) = signal.blocks(reading)
+        assert block.is_unknown is is_open
+        detections = [(Detector(settings.detection), 0, 0)] * 2
+        _, sound, other = daq_statuses(acquisition, signal, detections)
+        levels += [sound.level, other.level]
+        assert ("the sensor is open" in other.message) is is_open
+    source.close()
+    assert levels == [DiagnosticStatus.WARN, DiagnosticStatus.ERROR, DiagnosticStatus.WARN, DiagnosticStatus.WARN]
 
 
 def test_truncated_recording_gives_a_warning(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from rcl_interfaces.msg import Log
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from scara_effmass_msgs.msg import ContactStates, Impact, ImpactValidation, RunInfo
+from scara_effmass_msgs.msg import ContactStates, ForceBlock, Impact, ImpactValidation, RunInfo
 from std_srvs.srv import Trigger
 
 from scara_effmass.impacts.validator import Validator
@@ -24,8 +24,9 @@ from scara_effmass.values import Decision, Verdict
 from scara_effmass.values import Impact as ImpactValue
 from scara_effmass.values import RunInfo as RunInfoValue
 from scara_effmass.wire.contact_states import ContactStatesEncoder
-from scara_effmass.wire.force import impact_message
+from scara_effmass.wire.force import force_block_message, impact_message
 from scara_effmass.wire.run_info import run_info_message
+from test.daq.force_bag import force_block
 from test.decisions import assessments_of, decision_on
 from test.nodes.conftest import NodeHarness
 
@@ -72,8 +73,9 @@ class ValidatorHarness:
         harness.subscribe()
         self.states = node.create_publisher(ContactStates, "contact_states", DEEP)
         self.impacts = node.create_publisher(Impact, "impact", DEEP)
+        self.force = node.create_publisher(ForceBlock, "force", DEEP)
         self.run_info = node.create_publisher(RunInfo, "run_info", LATCHED)
-        ends = (self.states, self.impacts, self.run_info)
+        ends = (self.states, self.impacts, self.force, self.run_info)
         harness.spin_until(
             lambda: all(end.get_subscription_count() for end in ends) and node.count_publishers("impact_validation")
         )
@@ -241,6 +243,17 @@ def test_undecodable_messages_are_counted_by_type_until_a_reset(node: ValidatorH
     assert report.count("peak_force") == 1
     assert node.harness.call_service(Trigger, "reset", Trigger.Request()).success
     assert "peak_force" not in node.harness.diagnostic("validator: series", "undecodable messages", "0".__eq__)
+
+
+def test_force_of_an_open_sensor_is_not_known(node: ValidatorHarness) -> None:
+    marks = np.arange(100, dtype=np.uint32)
+    for first in (0, 100, 200, 500):
+        block = force_block(first, force=np.zeros(100), saturated_samples=marks if first else marks[:0])
+        node.force.publish(force_block_message(block))
+    report = node.harness.diagnostic("validator: series", "contacts of unknown force", "1".__eq__)
+    assert "1 contacts clipped, incomplete, stuck or without signal: their force is not known" in report
+    assert node.harness.call_service(Trigger, "reset", Trigger.Request()).success
+    node.harness.diagnostic("validator: series", "contacts of unknown force", "0".__eq__)
 
 
 def test_impact_without_a_monitor_is_decided_after_its_wait(new_harness: Callable[..., NodeHarness]) -> None:
