@@ -16,10 +16,15 @@ from scara_effmass.settings import DaqSettings
 from scara_effmass.wire.cdr import NS
 
 LATENCY_WINDOW_S = 10.0
-"""Time over which the latency is determined; two clocks that differ by 100 ppm drift by 1 ms meanwhile."""
+"""Time of the samples that determine the latency; two clocks that differ by 100 ppm drift by 1 ms meanwhile."""
 
 ANSWER_TIMEOUTS = 2.0
 """A call of the source that takes longer than so many timeouts of a read hangs, as in a driver."""
+
+
+def steady_time_ns() -> int:
+    """Return a steady time [ns] that goes on while the computer is suspended, where the system has one."""
+    return time.clock_gettime_ns(getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC))
 
 
 class AcquisitionState(Enum):
@@ -107,25 +112,26 @@ class SampleQueue:
 class ReadLatency:
     """Estimate the earliest time at which a sample can be read, and how much later each read was.
 
-    A read can be late but never early. The earliest reads of the last 10 s therefore show when samples are available.
+    A read can be late but never early. The earliest reads of the last 10 s of samples therefore show when samples are
+    available, also after a computer was suspended for longer.
     """
 
     def __init__(self, sample_rate: float) -> None:
         self._sample_rate = sample_rate
-        self._earliest: deque[tuple[int, int]] = deque()  # (time of the read, time of sample 0), both ascending
+        self._earliest: deque[tuple[int, int]] = deque()  # (end of the read, time of sample 0), both ascending
         self._latencies: deque[tuple[int, float]] = deque()
 
     def add(self, end: int, read_ns: int) -> None:
         """Add a read: at the steady time `read_ns`, all samples before number `end` had been read."""
         origin_ns = read_ns - self._span_ns(end)
-        expired_ns = read_ns - round(LATENCY_WINDOW_S * NS)
+        expired = end - round(LATENCY_WINDOW_S * self._sample_rate)
         while self._earliest and self._earliest[-1][1] >= origin_ns:
             self._earliest.pop()
-        self._earliest.append((read_ns, origin_ns))
-        while self._earliest[0][0] < expired_ns:
+        self._earliest.append((end, origin_ns))
+        while self._earliest[0][0] < expired:
             self._earliest.popleft()
-        self._latencies.append((read_ns, (origin_ns - self._earliest[0][1]) / NS))
-        while self._latencies[0][0] < expired_ns:
+        self._latencies.append((end, (origin_ns - self._earliest[0][1]) / NS))
+        while self._latencies[0][0] < expired:
             self._latencies.popleft()
 
     def time_ns(self, number: int) -> int:
@@ -161,7 +167,7 @@ class Acquisition:
         source: ForceSource,
         settings: DaqSettings,
         notify: Callable[[], None],
-        steady_ns: Callable[[], int] = time.monotonic_ns,
+        steady_ns: Callable[[], int] = steady_time_ns,
     ) -> None:
         """Take over a source that has not been started.
 

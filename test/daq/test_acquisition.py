@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import math
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -276,6 +277,28 @@ def test_gap_starts_when_the_next_sample_was_due() -> None:
     source.script.extend([source.wait(300), (0, BLOCK), OverrunError("overrun"), (0, BLOCK)])
     _, readings = run_script(source)
     assert numbers(readings)[-1] == (500, 100, 300)
+
+
+def test_gap_counts_the_time_of_a_suspend_that_the_last_read_follows() -> None:
+    # The computer sleeps for a minute; then come the samples from before, and the device is gone.
+    source = Scripted([(0, BLOCK)])
+    source.script.extend([source.wait(60_000), (0, BLOCK), DeviceLostError("unplugged"), (0, BLOCK)])
+    _, readings = run_script(source)
+    assert numbers(readings)[-1] == (60_200, 100, 60_000)
+
+
+def test_steady_time_goes_on_during_a_suspend(monkeypatch: pytest.MonkeyPatch) -> None:
+    suspended = [0]
+    source = Scripted([(0, BLOCK), DeviceLostError("unplugged")])
+    source.script.extend([lambda: suspended.append(60 * NS), (0, BLOCK)])
+    monkeypatch.setattr(time, "monotonic_ns", lambda: source.steady_ns)
+    monkeypatch.setattr(time, "clock_gettime_ns", lambda _: source.steady_ns + sum(suspended))
+    notifications = Notifications()
+    acquisition = Acquisition(source, SETTINGS, notifications)
+    acquisition.start()
+    notifications.until(is_over(acquisition))
+    assert numbers(acquisition.take())[-1] == (60_100, 100, 60_000)
+    acquisition.stop()
 
 
 def test_restart_is_repeated_and_its_error_stated() -> None:
