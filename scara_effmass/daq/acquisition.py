@@ -200,6 +200,8 @@ class Acquisition:
         self._run = 0
         self._run_first: int | None = None
         """Number of the first sample of this run, lost or not; None before its first reading."""
+        self._is_lost = False
+        """Whether a lost device has given no sample since."""
 
     def start(self) -> None:
         """Start the source and the thread. Raises DaqError, or RuntimeError when called twice."""
@@ -221,6 +223,12 @@ class Acquisition:
     def ended(self) -> bool:
         """Whether the source has ended and all of its readings were taken."""
         return self.state is AcquisitionState.ENDED and not self._queue.samples
+
+    @property
+    def gap_s(self) -> float:
+        """How long a lost device has given no sample [s]; 0 while none is lost, and before the first sample."""
+        with self._lock:
+            return (self._steady_ns() - self._due_ns) / NS if self._is_lost and self._end else 0.0
 
     def statistics(self) -> AcquisitionStatistics:
         """Return the state and the counts."""
@@ -300,6 +308,7 @@ class Acquisition:
             first = self._run_first + reading.first_sample
             lost = first - self._end
             self._end = first + count
+            self._is_lost = False
             self._samples_read += count
             self._samples_lost += lost
         numbered = reading._replace(first_sample=first, lost=lost, run=self._run + reading.run)
@@ -310,8 +319,10 @@ class Acquisition:
         """Close and start the source until that succeeds; its next readings belong to a new run."""
         # A device that starts but returns no samples must not be restarted over and over without a pause.
         pause = self._run_first is None
-        if self._run_first is not None:
-            self._due_ns = self._latency.time_ns(self._end - self._run_first)
+        with self._lock:
+            self._is_lost = True
+            if self._run_first is not None:
+                self._due_ns = self._latency.time_ns(self._end - self._run_first)
         while not self._stopping.is_set():
             self._set_state(AcquisitionState.WAITING, str(error))
             self.source.close()

@@ -150,6 +150,9 @@ class DaqNode(LifecycleBase[NodeSettings]):
     def _publish_waiting(self) -> None:
         if not self.active:
             return
+        if self._acquisition is not None and self._acquisition.gap_s > self.settings.detection.longest:
+            self._drain()  # no contact goes on after so many lost samples
+            self._finish_detection()
         for output in self._outputs:
             output.publish_waiting()
         if self._is_over and not any(output.waiting for output in self._outputs):

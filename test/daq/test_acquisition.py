@@ -301,6 +301,21 @@ def test_steady_time_goes_on_during_a_suspend(monkeypatch: pytest.MonkeyPatch) -
     acquisition.stop()
 
 
+def test_gap_lasts_from_the_last_sample_of_a_lost_device_to_the_next_one() -> None:
+    gate = threading.Event()
+    missing = DeviceMissingError("no such device")
+    source = Scripted([(0, BLOCK), DeviceLostError("unplugged")], starts=[None, missing, missing], ends=False)
+    source.script.extend([lambda: gate.wait(WAIT_S), (0, BLOCK)])
+    with running(source) as (acquisition, notifications):
+        notifications.until(lambda: acquisition.statistics().reason == "no such device")
+        assert acquisition.gap_s == 0.0
+        source.wait(3000)()
+        assert acquisition.gap_s == 3.0
+        gate.set()
+        notifications.until(lambda: acquisition.statistics().samples_waiting == 200)
+        assert acquisition.gap_s == 0.0
+
+
 def test_restart_is_repeated_and_its_error_stated() -> None:
     gate = threading.Event()
     missing = DeviceMissingError("no such device")

@@ -30,8 +30,9 @@ from scara_effmass.nodes.daq_node import DaqNode
 from scara_effmass.settings import DetectionSettings
 from scara_effmass.values import ForceBlock as Block
 from scara_effmass.values import Impact as ImpactValue
-from scara_effmass.wire.force import decode_force_block, decode_impact, force_block_message
+from scara_effmass.wire.force import decode_force_block, decode_impact, force_block_message, impact_message
 from scara_effmass.wire.message_types import FORCE_BLOCK
+from test.daq.conftest import NiDevice
 from test.nodes.conftest import NodeHarness, ros_node, stamp_ns
 
 EXECUTABLE = Path(sys.executable).with_name("daq_node")
@@ -320,6 +321,48 @@ def test_configured_node_imports_the_filter_and_refuses_simulated_time(
         node.destroy_node()
     finally:
         rclpy.try_shutdown()
+
+
+def test_contact_that_a_lost_device_cuts_is_published_while_it_is_lost(
+    own_domain: int,  # noqa: ARG001 - where it is alone
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    device = NiDevice()
+    monkeypatch.setattr("nidaqmx.utils._select_interpreter", lambda *_, **__: device)
+    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path))
+    force = np.random.default_rng(3).normal(0.0, 0.1, 15_360)
+    force[-1_280:] += 300.0
+
+    def signal_of(_channel: int, numbers: np.ndarray) -> np.ndarray:
+        if numbers[-1] == force.size - 1:
+            device.unplug()
+        return force[numbers]
+
+    device.signal = signal_of
+    published: list[ImpactValue] = []
+
+    def message_of(impact: ImpactValue) -> bytes:
+        published.append(impact)
+        return impact_message(impact)
+
+    monkeypatch.setattr("scara_effmass.nodes.daq_node.impact_message", message_of)
+    rclpy.init(args=["--ros-args", "-p", "detection.longest:=0.2"], signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        node = DaqNode()
+        node.trigger_configure()
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        node.trigger_activate()
+        deadline = time.monotonic() + 10.0
+        while not published and time.monotonic() < deadline:
+            executor.spin_once(0.1)
+        assert published, "nothing was published while the device was lost"
+        node.destroy_node()
+    finally:
+        rclpy.try_shutdown()
+    (impact,) = published
+    assert (impact.incomplete, round(impact.peak_force, -1)) == (True, 300.0)
 
 
 def test_missing_driver_exits_with_2_and_one_line(new_harness: Callable[..., NodeHarness]) -> None:
