@@ -337,7 +337,7 @@ def test_contact_that_a_lost_device_cuts_is_published_while_it_is_lost(
     def signal_of(_channel: int, numbers: np.ndarray) -> np.ndarray:
         if numbers[-1] == force.size - 1:
             device.unplug()
-        return force[numbers]
+        return np.asarray(force[numbers])
 
     device.signal = signal_of
     published: list[ImpactValue] = []
