@@ -18,6 +18,7 @@ from scara_effmass.model.hulls import shape_points, stated_hull
 from scara_effmass.model.joint_values import torque_constants
 from scara_effmass.model.light_ends import hold_light_end
 from scara_effmass.model.plausibility import (
+    MASS_REMEDY,
     MAX_DEGREES,
     MIN_DEGREES,
     InertialCheck,
@@ -168,7 +169,8 @@ def _with_massless(check: InertialCheck, model: pin.Model) -> InertialCheck:
         note = f"links without mass, which only join two joints: behind {', '.join(virtual)}"
         check = check._replace(notes=(note, *check.notes))
     if missing:
-        check = check._replace(masses=f"no mass behind {', '.join(missing)}: the robot is heavier than the file says")
+        problem = f"no mass behind {', '.join(missing)}: the robot is heavier than the file says"
+        check = check._replace(masses=f"{problem}: {MASS_REMEDY}")
     return check
 
 

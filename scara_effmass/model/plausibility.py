@@ -38,7 +38,7 @@ MIN_SHARE = 0.01
 """Share of the mass of its rigid body from which on data of a link count: a frame may have a gram, and no tensor."""
 _TRIANGLE = 1e-3
 """Relative tolerance of the triangle inequality, for values rounded in the file."""
-_MASS_REMEDY = "correct the masses, or state moving_mass"
+MASS_REMEDY = "correct the masses, or state moving_mass"
 
 
 class InertialCheck(NamedTuple):
@@ -62,7 +62,7 @@ def check_inertials(links: Sequence[StatedLink]) -> InertialCheck:
     if len(heavy) > 1 and all(np.allclose(link.com, 0.0) for link in heavy):
         coms = "every centre of mass lies at its link's origin: placeholders, not data"
         if max(Counter(link.mass for link in heavy).values()) >= max(3, len(heavy) - 1):
-            masses = masses or f"the same mass at the origin of each link: placeholders, not data: {_MASS_REMEDY}"
+            masses = masses or f"the same mass at the origin of each link: placeholders, not data: {MASS_REMEDY}"
     without_inertia = [link.name for link in heavy if np.allclose(link.inertia, 0.0, atol=1e-12)]
     if len(without_inertia) == len(heavy):
         inertias = "the file gives no inertia tensors"
@@ -160,12 +160,12 @@ def _too_light(robot: Robot, reach: float) -> str:
     mass, reach_m = robot.moving_mass + robot.payload_mass, max(reach, MIN_REACH_M)
     if mass < LIGHT_DENSITY * reach_m**3:
         share = "less than half as much as in the lightest arms"
-        return f"{mass:.3g} kg move at a reach of {reach:.3g} m, {share}: {_MASS_REMEDY}"
+        return f"{mass:.3g} kg move at a reach of {reach:.3g} m, {share}: {MASS_REMEDY}"
     for name, length, body in _links(robot):
         if length > MAX_VIRTUAL_M and 0.0 < body.mass < LIGHT_LINK_DENSITY * length * reach_m**2:
             return (
                 f"{body.mass:.3g} kg in the {length:.3g} m long link behind {name}, less than a fifth of that in the "
-                f"lightest arms: {_MASS_REMEDY}"
+                f"lightest arms: {MASS_REMEDY}"
             )
     return ""
 
@@ -198,7 +198,7 @@ def _equal_links(robot: Robot) -> str:
         if len(equal) > 2 and min(lengths) < 0.9 * max(lengths):
             names = ", ".join(name for name, *_ in equal)
             problem = f"equal masses and inertias of unequal links, behind {names}"
-            return f"{problem}: placeholders, not data: {_MASS_REMEDY}"
+            return f"{problem}: placeholders, not data: {MASS_REMEDY}"
     return ""
 
 

@@ -246,7 +246,7 @@ def test_reason_that_a_payload_ends_stays_on_the_joint_states_before_it(
     ignored = ("--ignored-joints", "joint3,joint4")  # of the shipped robot
     assert cli(*words, *ignored, "-o", tmp_path / "a.parquet").returncode == 0
     rows = parquet.read_table(tmp_path / "a.parquet").to_pylist()
-    reason = "no mass behind joint2: the robot is heavier than the file says"
+    reason = "no mass behind joint2: the robot is heavier than the file says: correct the masses, or state moving_mass"
     assert {row["reason"] for row in rows[:500]} == {reason}
     assert {row["verdict"] for row in rows[:500]} == {"UNKNOWN"}
     assert f"held after: {reason}" in {row["reason"] for row in rows[500:]}
