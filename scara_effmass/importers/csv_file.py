@@ -109,7 +109,7 @@ def open_csv(path: Path, settings: ImportSettings) -> ForceFile:
         stamps_ns.append(stamp_ns)
         values.append(value)
     times_ns = np.frombuffer(stamps_ns, np.int64)
-    if time is not None and 2 * len(np.unique(times_ns)) < len(times_ns) and not np.any(times_ns % NS):
+    if time is not None and not np.any(times_ns % NS) and 2 * len(np.unique(times_ns)) < len(times_ns):
         rule = "must be finer; else state --rate HZ, or --time-column SECONDS,NANOSECONDS if these are two columns"
         raise BagError(f"{path}: {header[time]}: has whole seconds, which several rows share: {rule}")
     sample_rate, blocks = uniform_samples(origin, times_ns, np.frombuffer(values))

@@ -50,9 +50,14 @@ class InertialCheck(NamedTuple):
     notes: tuple[str, ...]
 
 
+def _heavy(links: Sequence[StatedLink]) -> list[StatedLink]:
+    """Return the links whose data count."""
+    return [link for link in links if link.mass > 0.0 and link.share >= MIN_SHARE]
+
+
 def check_inertials(links: Sequence[StatedLink]) -> InertialCheck:
     """Find placeholders and impossible tensors in `links`. A pattern needs at least two links with mass."""
-    heavy = [link for link in links if link.mass > 0.0 and link.share >= MIN_SHARE]
+    heavy = _heavy(links)
     placeholders = [link.name for link in links if link.mass > 0.0 and link.placeholder]
     all_placeholders = len(heavy) > 1 and all(link.placeholder for link in heavy)
     masses = coms = inertias = ""
@@ -172,8 +177,7 @@ def _too_light(robot: Robot, reach: float) -> str:
 
 def _too_compact(links: Sequence[StatedLink], reach: float) -> str:
     """Return why the inertias of `links` are too small for an arm with this `reach` [m], empty if they are not."""
-    heavy = [link for link in links if link.mass > 0.0 and link.share >= MIN_SHARE]
-    radii = [math.sqrt(max(principal_moments(link.inertia)) / link.mass) for link in heavy]
+    radii = [math.sqrt(max(principal_moments(link.inertia)) / link.mass) for link in _heavy(links)]
     if max(radii, default=math.inf) >= MIN_GYRATION * max(reach, MIN_REACH_M):
         return ""
     return (
