@@ -203,8 +203,8 @@ def follow(
 ) -> tuple[float, dict[int, float]]:
     """Follow the fastest part of the tour in real time; motion and controller are simulated.
 
-    Return how old the newest contact state was at most in motion [s], and the factors by stamp [ns]. End where it is
-    older than LATENCY_S.
+    Return how old the newest contact state, or the last cycle, was at most in motion [s], and the factors by stamp
+    [ns]. End where it is older than LATENCY_S.
     """
     q, qd = sample_moves(tour_moves(), 100)
     trajectory = ScaledTrajectory(JOINTS, np.arange(300) / 100, q[1950:2250], qd[1950:2250])
@@ -224,7 +224,7 @@ def follow(
         seen = len(factors)
         now_ns = time.time_ns()
         if factors[-1] > 0.0:
-            delay_ns = max(delay_ns, now_ns - stamp_ns(states[-1]))
+            delay_ns = max(delay_ns, now_ns - min(stamp_ns(states[-1]), last_ns))
         monitor.send(joint_state_message(trajectory.advance(factors[-1], (now_ns - last_ns) / 1e9, now_ns)))
         in_force[now_ns], last_ns = factors[-1], now_ns
         return trajectory.ended or delay_ns >= LATENCY_S * 1e9
