@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The source `sim`: simulated force at the pace of a converter, from half-sines or from the simulated cell."""
 
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -52,26 +53,33 @@ class SimSource(ForceSource):
 
     def start(self) -> None:
         """Begin at sample 0."""
-        self._blocks = self.compute_blocks()
-        self._next = next(self._blocks)
+        self._blocks, self._next = self.compute_blocks(), None
+        self._wait_s()
         self._closed.clear()
 
     def read(self, timeout_s: float) -> Reading | None:
         """Return the next block when it is due; None if that takes longer than `timeout_s` or the source is closed."""
-        blocks = self._blocks
-        if blocks is None:
-            return None
-        due_ns, first, samples = self._next = self._next or next(blocks)
         left_s = timeout_s
-        while (wait_s := (due_ns - self._pace_ns()) / NS) > 0.0:
+        while (wait_s := self._wait_s()) > 0.0:
             poll_s = min(wait_s, left_s, MAX_POLL_S)
             if poll_s <= 0.0 or self._closed.wait(poll_s):
                 return None
             left_s -= poll_s
-        self._next = None
+        if self._next is None:
+            return None
+        (_, first, samples), self._next = self._next, None
         saturated = np.abs(samples) >= self.limit
         saturated.flags.writeable = samples.flags.writeable = False
         return Reading(first, samples, 0, self._now_ns(), saturated=saturated if saturated.any() else None)
+
+    def _wait_s(self) -> float:
+        """Compute the next block; return the time until it is due [s], infinite while the time of day is not known."""
+        if self._blocks is None:
+            return 0.0
+        if not self._pace_ns():  # before the first message on /clock
+            return math.inf
+        self._next = self._next or next(self._blocks)
+        return (self._next[0] - self._pace_ns()) / NS
 
     def close(self) -> None:
         """End a waiting `read`, and delete the simulation."""
@@ -132,14 +140,23 @@ class SimCellSource(SimSource):
         self.filter_delay = self._sensor.filter_delay
 
     def compute_blocks(self) -> Iterator[tuple[int, int, FloatArray]]:
-        """See `SimSource`; the robot starts at `sim.start`, or now."""
-        sim = self._settings.sim
+        """See `SimSource`; the robot starts at `sim.start`, or now, and the converter not before it is read.
+
+        Blocks from before would be read at once, so that none of them shows its time.
+        """
+        sim, skipped = self._settings.sim, 0
         start_ns = round(sim.start * 1e3) * MS or self._now_ns()
         simulation = self._start_sim(start_ns, seed=sim.seed, sensor=self._sensor)
         period_ns = max(1, round(self._settings.block_time * 1e3)) * MS
-        for due_ns in count(start_ns + period_ns, period_ns):
+        begin_ns = start_ns
+        for _ in range(2):  # time goes on meanwhile
+            if (late_ns := (self._now_ns() - begin_ns) // period_ns * period_ns) > 0:
+                begin_ns += late_ns
+                before = simulation.advance_to(begin_ns)
+                skipped = before.first_sample + len(before.force)
+        for due_ns in count(begin_ns + period_ns, period_ns):
             output = simulation.advance_to(due_ns)
-            yield due_ns, output.first_sample, output.force[np.newaxis]
+            yield due_ns, output.first_sample - skipped, output.force[np.newaxis]
 
 
 def make_sim_source(settings: DaqSettings, now_ns: Callable[[], int]) -> ForceSource:

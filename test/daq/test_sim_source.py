@@ -3,9 +3,10 @@ import numpy as np
 import pytest
 
 from scara_effmass.daq import make_source
-from scara_effmass.daq.sim_source import HalfSineSource
+from scara_effmass.daq.sim_source import HalfSineSource, SimCellSource
 from scara_effmass.daq.source import Reading
 from scara_effmass.settings import DaqSettings, SensorSettings, SimSettings
+from scara_effmass.sim.experiment import CONTROL_PERIOD_NS
 from scara_effmass.sim.measurement import ForceSensor, RandomPulses, SyntheticSignal
 from test.daq.force_bag import Clock
 
@@ -22,7 +23,7 @@ def started(settings: DaqSettings = SETTINGS) -> tuple[HalfSineSource, Clock]:
     return source, clock
 
 
-def block(source: HalfSineSource, timeout_s: float = 0.0) -> Reading:
+def block(source: HalfSineSource | SimCellSource, timeout_s: float = 0.0) -> Reading:
     reading = source.read(timeout_s)
     assert reading is not None
     return reading
@@ -69,6 +70,27 @@ def test_late_reads_lose_nothing() -> None:
     assert [reading.first_sample for reading in readings] == [0, 1280, 2560, 3840, 5120]
     assert {reading.read_ns for reading in readings} == {NOW_NS}
     assert source.read(0.0) is None
+
+
+@pytest.mark.parametrize("known_ns", [0, NOW_NS])
+def test_simulated_cell_that_is_late_is_measured_from_then_on(known_ns: int) -> None:
+    clock = Clock(known_ns)
+    sim = SimSettings(scene="cell", start=NOW_NS / NS - 3.0)
+    source = SimCellSource(DaqSettings(source="sim", sim=sim), clock)
+    source.start()
+    assert source.read(0.0) is None
+    clock.now_ns = NOW_NS
+    assert source.read(0.0) is None
+    readings = []
+    for _ in range(3):
+        clock.now_ns += 100 * CONTROL_PERIOD_NS
+        readings.append(block(source))
+        assert source.read(0.0) is None
+    firsts = [reading.first_sample for reading in readings]
+    assert firsts[0] == 0
+    assert firsts[1:] == np.cumsum([reading.samples.size for reading in readings])[:-1].tolist()
+    assert [reading.read_ns for reading in readings] == [clock.now_ns - 100 * CONTROL_PERIOD_NS * i for i in (2, 1, 0)]
+    assert {reading.lost for reading in readings} == {0}
 
 
 @pytest.mark.parametrize("error", [-1e-3, 50e-6])
