@@ -166,9 +166,10 @@ def _local(jobs: int, memory_gb: float | None) -> Iterator[Any]:
     """Give a client of `jobs` processes that this process starts and ends, reachable from this machine only."""
     from distributed import Client, LocalCluster  # noqa: PLC0415
 
-    ignore = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
-    # Workers inherit that they ignore Ctrl-C, because this process ends them; restarted ones preload it.
-    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    ignore, interrupts = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)", list[int]()
+    # This process ends the workers: they inherit that Ctrl-C does not reach them, and restarted ones preload it.
+    handler = signal.signal(signal.SIGINT, lambda number, _: interrupts.append(number))
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         cluster = LocalCluster(  # type: ignore[no-untyped-call]
             n_workers=jobs,
@@ -180,8 +181,11 @@ def _local(jobs: int, memory_gb: float | None) -> Iterator[Any]:
             silence_logs=logging.CRITICAL,
         )
     finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         signal.signal(signal.SIGINT, handler)
     with cluster, Client(cluster) as client:  # type: ignore[no-untyped-call]
+        if interrupts:
+            raise KeyboardInterrupt
         yield client
 
 

@@ -152,6 +152,23 @@ def test_end_of_a_worker_is_survived_and_a_task_that_causes_it_is_reported(tmp_p
         assert str(outcome).startswith(f"{kind}: ended 2 worker processes: must fit into the memory of a worker")
 
 
+def test_interrupt_while_the_workers_start_is_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    clusters = []
+
+    def start(**options: Any) -> LocalCluster:  # noqa: ANN401
+        os.kill(os.getpid(), signal.SIGINT)
+        clusters.append(LocalCluster(**options))  # type: ignore[no-untyped-call]
+        return clusters[0]
+
+    monkeypatch.setattr("distributed.LocalCluster", start)
+    with (
+        pytest.raises(KeyboardInterrupt),
+        open_run(Namespace(scheduler=None, jobs=2, memory_limit=None), "tasks") as run,
+    ):
+        run(lambda task, _: task, ["a", "b"])
+    assert (clusters[0].status.name, clusters[0].workers) == ("closed", {})
+
+
 def test_interrupted_dataset_is_continued(tmp_path: Path, cli: Cli, domain: dict[str, str]) -> None:
     words = ("assess", make_bags(tmp_path, "abcdefghijkl"), "-o", tmp_path / "dataset", "--jobs", "2")
     records = tmp_path / "dataset" / "_results"
