@@ -98,7 +98,7 @@ def open_csv(path: Path, settings: ImportSettings) -> ForceFile:
     unit = select_unit(settings.unit, _unit(header[force]), origin)
     if time is not None and time in nanoseconds:
         names = f"{header[time]}, {header[nanoseconds[time]]}"
-        rows = _with_nanoseconds(rows, time, nanoseconds[time], path, names)
+        rows = with_nanoseconds(rows, time, nanoseconds[time], path, names)
         header[time] += " [ns]"
     first = next(rows, (0, []))
     if time is not None and not _unit(header[time]) and NS_SINCE_1970.fullmatch("".join(first[1][time : time + 1])):
@@ -369,17 +369,21 @@ def _times(header: Sequence[str], stated: str, path: Path) -> tuple[list[int], d
     return [time], dict.fromkeys([time], others[0]) if others else nanoseconds
 
 
-def _with_nanoseconds(rows: Rows, time: int, nanoseconds: int, path: Path, names: str) -> Rows:
-    """Yield the rows with nanoseconds in the column `time`. Raises BagError unless both columns have whole numbers."""
+def with_nanoseconds(rows: Rows, time: int, nanoseconds: int, path: Path, names: str) -> Rows:
+    """Yield the rows with nanoseconds in the column `time`, empty unless both columns `names` are filled.
+
+    Raises BagError unless these have whole numbers.
+    """
     for line, row in rows:
         seconds, rest = ("".join(row[column : column + 1]) for column in (time, nanoseconds))
         if seconds and rest:
-            if not (seconds.isdecimal() and rest.isdecimal() and len(rest) < len(str(NS))):
+            is_whole = seconds.removeprefix("-").isdecimal() and rest.isdecimal()
+            if not is_whole or len(seconds) > MAX_DIGITS or len(rest) >= len(str(NS)):
                 rule = f"must be whole seconds, and nanoseconds below {NS}"
                 raise BagError(f"{path}: line {line}: {names} = {seconds}, {rest}: {rule}")
-            row[time] = seconds + rest.zfill(len(str(NS)) - 1)
-        else:
-            row[time : time + 1] = [""]
+            row[time] = str(int(seconds) * NS + int(rest))
+        elif seconds:
+            row[time] = ""
         yield line, row
 
 

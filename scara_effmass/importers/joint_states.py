@@ -12,7 +12,7 @@ from pydantic import Field, StrictInt
 
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError, SettingsError
-from scara_effmass.importers.csv_file import Rows, has_number, named_rows, spelled_unit
+from scara_effmass.importers.csv_file import Rows, has_number, named_rows, spelled_unit, with_nanoseconds
 from scara_effmass.importers.times import NS_PER_UNIT, Midnights, Numbers, time_ns
 from scara_effmass.input_files import read_yaml
 from scara_effmass.settings import checked
@@ -137,7 +137,10 @@ def _joint_states(path: Path, mapping: Path, table: JointTable) -> Iterator[tupl
     units: dict[int, str] = {column: table.time_unit for column in times if len(times) == 1}
     for numbers in (positions, velocities):
         units |= {column: joint.unit for column, joint in zip(numbers, table.joints.values(), strict=False)}
-    for count, (line, row) in enumerate(_below_units(path, header, rows, units, table.delimiter)):
+    rows, ns_per_unit = _below_units(path, header, rows, units, table.delimiter), NS_PER_UNIT[table.time_unit]
+    if len(times) > 1:
+        rows, ns_per_unit = with_nanoseconds(rows, times[0], times[1], path, ", ".join(map(str, stated_times))), 1
+    for count, (line, row) in enumerate(rows):
         columns = columns or len(row)
         if len(row) < columns:
             problem = f"has {len(row)} fields, the first row {columns}: must be as many"
@@ -147,8 +150,8 @@ def _joint_states(path: Path, mapping: Path, table: JointTable) -> Iterator[tupl
             continue
         try:
             if table.rate is None:
-                cells = [row[i] for i in times]
-                stamp_ns = midnights.continued(cells[0], _stamp_ns(cells, NS_PER_UNIT[table.time_unit], number))
+                text = row[times[0]]
+                stamp_ns = midnights.continued(text, time_ns(text, ns_per_unit, number))
             else:
                 stamp_ns = round(count / table.rate * NS)
             position, velocity = (np.array([number(row[i]) for i in numbers]) for numbers in (positions, velocities))
@@ -191,15 +194,3 @@ def _index(mapping: Path, header: list[str], column: Column, key: str) -> int:
         remedy = "; without times, state --rate HZ" if key == "time" else ""
         raise SettingsError(f"{mapping}: {key} = {column}: {rule}{remedy}")
     return header.index(column) if isinstance(column, str) else column
-
-
-def _stamp_ns(cells: list[str], ns_per_unit: int, number: Numbers) -> int:
-    """Return the time in one cell, or in two with seconds and nanoseconds. Raises ValueError, OverflowError."""
-    if len(cells) == 1:
-        return time_ns(cells[0], ns_per_unit, number)
-    stamp_ns, nanoseconds = int(cells[0]) * NS, int(cells[1])
-    if not 0 <= nanoseconds < NS:
-        raise ValueError(cells[1])
-    if abs(stamp_ns) > MAX_SEC * NS:
-        raise OverflowError
-    return stamp_ns + nanoseconds

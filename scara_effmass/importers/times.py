@@ -129,7 +129,8 @@ def time_ns(text: str, ns_per_unit: int, number: Numbers | None = None) -> int:
     """
     if text.endswith(" sec"):
         text, ns_per_unit = text.removesuffix(" sec"), NS
-    if text.isdecimal() and len(text) <= MAX_DIGITS:  # a float has too few digits for nanoseconds since 1970
+    # A float has too few digits for nanoseconds since 1970.
+    if text.removeprefix("-").isdecimal() and len(text) <= MAX_DIGITS:
         stamp_ns = int(text) * ns_per_unit
     else:
         iso = iso_ns(text)

@@ -70,7 +70,7 @@ def test_positions_alone_give_no_velocity(tmp_path: Path) -> None:
     [
         (f"{HEADER}\n1,x,2,3,4,5,6", MAPPING, "log.csv: line 2: must have numbers in columns"),
         (f"{HEADER},n\n1,2,3,4,5,6,7", MAPPING, "line 2: has 7 fields, the first row 8: must be as many"),
-        ("1,1000000000,3", NUMBERED.replace("0", "[0, 1]", 1), "line 1: must have numbers in columns [0, 1] (from 0)"),
+        ("1,1000000000,3", NUMBERED.replace("0", "[0, 1]", 1), "line 1: 0, 1 = 1, 1000000000: must be whole seconds"),
         ("1,2,3\n1,2", NUMBERED, "log.csv: line 2: has 2 fields, the first row 3: must be as many"),
         (f"{HEADER}\n1,1,2,3,4,5,6\n1,1,2,3,4,5,6", MAPPING, "log.csv: line 3: time: must be later"),
         ("0,1\n0,1", NUMBERED, "line 2: time: must be later than in the row before; of whole seconds, state time: ["),
@@ -101,6 +101,14 @@ def test_error_is_one_line_and_leaves_no_bag(tmp_path: Path, text: str, mapping:
     assert message in str(error.value)
     assert "\n" not in str(error.value)
     assert not (tmp_path / "out.mcap").exists()
+
+
+def test_seconds_and_nanoseconds_may_begin_before_zero(tmp_path: Path) -> None:
+    imported, states = states_of(
+        tmp_path, "-1,750000000,3\n0,250000000,4", NUMBERED.replace("0", "[0, 1]", 1).replace("1}", "2}")
+    )
+    assert imported.shift_s == 1.25
+    assert [state.stamp_ns for state in states] == [1_000_000_000, 1_500_000_000]
 
 
 SIMPLE = "joints:\n  joint1: {position: a}\n"
