@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import os
 import platform
 from collections import Counter
@@ -20,7 +19,7 @@ import numpy as np
 
 from scara_effmass import __version__
 from scara_effmass.analysis.lumped_model import compare_models
-from scara_effmass.analysis.output import atomic_file, check_output_path
+from scara_effmass.analysis.output import atomic_file, check_output_path, json_types
 from scara_effmass.analysis.summary import shares
 from scara_effmass.cli.console import LEVEL_STYLES, print_findings, print_json, print_table, printer
 from scara_effmass.cli.options import load_dynamics, monitor_settings
@@ -337,19 +336,18 @@ def _assumptions(dynamics: RobotDynamics, settings: MonitorSettings) -> Iterator
 
 def _joints(dynamics: RobotDynamics) -> list[dict[str, Any]]:
     """Return the joints for JSON; a bound that the robot file does not set is None."""
-
-    def finite(value: float) -> float | None:
-        return value if math.isfinite(value) else None
-
     robot, model = dynamics.robot, dynamics.robot.model
-    return [
-        {
-            "name": name,
-            "type": "revolute" if robot.revolute[index] else "prismatic",
-            "lower": finite(model.lowerPositionLimit.tolist()[index]),
-            "upper": finite(model.upperPositionLimit.tolist()[index]),
-            "max_speed": finite(model.velocityLimit.tolist()[index]),
-            "link_mass_kg": float(model.inertias[index + 1].mass),
-        }
-        for index, name in enumerate(robot.joint_names)
-    ]
+    joints: list[dict[str, Any]] = json_types(
+        [
+            {
+                "name": name,
+                "type": "revolute" if robot.revolute[index] else "prismatic",
+                "lower": model.lowerPositionLimit[index],
+                "upper": model.upperPositionLimit[index],
+                "max_speed": model.velocityLimit[index],
+                "link_mass_kg": model.inertias[index + 1].mass,
+            }
+            for index, name in enumerate(robot.joint_names)
+        ]
+    )
+    return joints

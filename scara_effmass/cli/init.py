@@ -33,12 +33,9 @@ from scara_effmass.wire.topics import JOINT_STATES
 
 MARK = b"ros__parameters:"
 """What a parameter file holds."""
-UNASKED = {"payload_topic", "joint_names", "joint_limits", "velocity_source", "velocity_window", "contact_normal"}
-UNASKED |= {"armature", "drives", "person_direction", "accept_assumptions", "max_joint_acceleration", "reaction_time"}
-UNASKED |= {"contact_damping", "contact_friction"}
-UNASKED |= {"locked_joints", "ignored_joints", "moving_mass", "contact_links", "package_dirs"}
-UNASKED |= {"contact_areas", "payload_shape", "torque_constants"}
-"""Options that few cells need."""
+ASKED = {"robot", "bag", "effective_mass_model", "joint_map", "contact_points", "payload_mass", "payload_com"}
+ASKED |= {"payload_inertia", "body_regions", "contact", "contact_area_m2", "max_acceleration", "person_speed"}
+"""Options that most cells need."""
 
 
 def run(args: argparse.Namespace) -> int:
@@ -102,7 +99,7 @@ def _interview(
     for option in options_of("robot", "bag", "situation"):
         name = option.dest
         is_load = name in {"payload_com", "payload_inertia"}
-        if name in UNASKED or getattr(args, name) is not None or (is_load and not args.payload_mass):
+        if name not in ASKED or getattr(args, name) is not None or (is_load and not args.payload_mass):
             continue
         if name == "joint_map":
             if not (problem := args.bag and _misfit(args, settings, dynamics)):
