@@ -155,12 +155,10 @@ def assessed_rows(
     topic: str,
     monitor: Monitor,
     time: Time = Time.LIVE,
-    velocities: RecordedVelocities | None = None,
     contacts: Sequence[int] | None = None,
 ) -> Iterator[AssessedState]:
     """Yield what `assess_joint_states` does, one joint state after another, as `AssessedStates.rows`."""
-    batches = assess_joint_states(bag, topic, monitor, time, velocities)
-    return chain.from_iterable(states.rows(contacts) for states in batches)
+    return chain.from_iterable(states.rows(contacts) for states in assess_joint_states(bag, topic, monitor, time))
 
 
 class _Part(NamedTuple):

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -65,16 +66,14 @@ def worth_of(settings: MonitorSettings, dynamics: RobotDynamics, assumptions: As
     for code in RULES:
         status = "assumed" if code in assumptions.assumed else "accepted" if code in assumptions.accepted else "stated"
         other, change = OTHERS.get(code, ("", None))
-        speed = None
+        difference = None
         if change is not None:
-            try:
+            with suppress(EffmassError, ValueError):  # another statement of the settings rules this value out
                 changed = MonitorSettings.model_validate({**settings.model_dump(), **change(settings, dynamics)})
                 same_robot = (changed.armature, changed.payload) == (settings.armature, settings.payload)
                 robot = dynamics if same_robot else RobotDynamics(load_robot(settings=changed))
-                speed = _mean_speed(changed, robot)
-            except (EffmassError, ValueError):  # another statement of the settings rules this value out
-                speed = None
-        rows.append(Worth(name_of(code), status, other, None if speed is None else speed - usual))
+                difference = _mean_speed(changed, robot) - usual
+        rows.append(Worth(name_of(code), status, other, difference))
     return usual, rows
 
 

@@ -36,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
     with open_run(args, "simulated impacts") as run_tasks:
         for _ in extend_table(table, args.seed, args.impacts, partial(_rows, run_tasks)):
             pass
-    evidence = write_evidence(args.output, args.seed, overwrite=True)
+    evidence = write_evidence(args.output, args.seed)
     result = {"output": str(args.output), "seed": args.seed, **evidence.as_dict()}
     print_result(result, _lines(evidence, args.output), as_json=args.json)
     return 0

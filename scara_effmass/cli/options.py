@@ -155,7 +155,6 @@ TYPES: Mapping[str, Callable[[str], object]] = {
     "plane": _plane,
     "velocity": lambda text: text.replace("-", "_"),
     "number": NUMBER,
-    "finite": number("a number", math.isfinite),
     "offset": number(f"a number from {-MAX_SEC} to {MAX_SEC}", lambda seconds: abs(seconds) <= MAX_SEC),
     "not_negative": number("a number >= 0", lambda value: 0.0 <= value < math.inf),
     "rate": number("a number > 0", lambda value: 0.0 < value < math.inf),

@@ -466,8 +466,11 @@ def draw_evidence(evidence: Evidence) -> Figure:
     return figure
 
 
-def write_evidence(folder: Path, seed: int, *, overwrite: bool) -> Evidence:
-    """Write page, figure and summary of the table in `folder`; return its statistics. Raises OutputError."""
+def write_evidence(folder: Path, seed: int) -> Evidence:
+    """Write page, figure and summary of the table in `folder`, over earlier ones; return its statistics.
+
+    Raises OutputError.
+    """
     evidence = Evidence(folder / TABLE)
     caption = (
         "Share of the impacts at the worst normal whose peak is above a multiple of the limit; dotted: the median."
@@ -476,5 +479,5 @@ def write_evidence(folder: Path, seed: int, *, overwrite: bool) -> Evidence:
     texts: dict[str, Any] = {"labels": LABELS, "drives": DRIVES, "places": PLACES, "plates": PLATES}
     page = render("evidence.html", evidence=evidence, seed=seed, figure=figure, **texts)
     summary = {"seed": seed} | evidence.as_dict()
-    write_report_files(folder, {PAGE: page, SUMMARY: summary}, [figure], overwrite=overwrite)
+    write_report_files(folder, {PAGE: page, SUMMARY: summary}, [figure], overwrite=True)
     return evidence

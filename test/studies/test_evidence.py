@@ -136,7 +136,7 @@ def test_no_goal_is_met_by_too_few_impacts(write_table: Callable[..., Path]) -> 
 
 def test_report_states_results_and_what_is_simulated(write_table: Callable[..., Path]) -> None:
     folder = write_table(0.8).parent
-    write_evidence(folder, 1, overwrite=False)
+    write_evidence(folder, 1)
     page = (folder / PAGE).read_text(encoding="utf-8")
     assert "Everything on this page is simulated" in page
     assert "4.00% (0.49% to 13.71%)" in page
