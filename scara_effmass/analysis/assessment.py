@@ -129,25 +129,34 @@ def assess_joint_states(
     time: Time = Time.LIVE,
     velocities: RecordedVelocities | None = None,
     skew: ClockSkew | None = None,
+    advance: Callable[[float], object] = lambda _: None,
 ) -> Iterator[AssessedStates]:
     """Yield the assessments of the joint states on `topic` by `monitor`, as the live node assesses them, in batches.
 
     The joint states have the robot's names, the stamps of `time`, and, if given, the `velocities` of another recording;
-    their clocks are counted in `skew`. An undecodable message gives UNKNOWN and debounces the following verdicts.
+    their clocks are counted in `skew`. `advance` takes the share of the messages since the last call. An undecodable
+    message gives UNKNOWN and debounces the following verdicts.
     Payloads that were recorded on the `payload_topic` of the settings count from their log times on. Threads compute,
     while this one admits and settles, in order. Raises BagError, at first if the settings name no robot but the bag
     describes one, and at the end if no joint state names a joint of the robot.
     """
     threads = min(len(os.sched_getaffinity(0)), MAX_THREADS)
+    total = next(stored.count for stored in bag.topics if stored.name == topic)
     waiting: deque[Future[tuple[list[_Part], FloatArray]]] = deque()
+
+    def settled() -> AssessedStates:
+        states = _settled(monitor, *waiting.popleft().result())
+        advance(len(states) / total)
+        return states
+
     with ThreadPoolExecutor(threads) as pool:
         for batch in _admitted(bag, topic, monitor, time, velocities, skew or ClockSkew()):
             for _, parts in groupby(batch, lambda part: part.pending.texts):  # a payload changes the texts
                 waiting.append(pool.submit(_compute, monitor, [*parts]))
                 if len(waiting) > threads:
-                    yield _settled(monitor, *waiting.popleft().result())
+                    yield settled()
         while waiting:
-            yield _settled(monitor, *waiting.popleft().result())
+            yield settled()
 
 
 def assessed_rows(
@@ -156,9 +165,11 @@ def assessed_rows(
     monitor: Monitor,
     time: Time = Time.LIVE,
     contacts: Sequence[int] | None = None,
+    advance: Callable[[float], object] = lambda _: None,
 ) -> Iterator[AssessedState]:
     """Yield what `assess_joint_states` does, one joint state after another, as `AssessedStates.rows`."""
-    return chain.from_iterable(states.rows(contacts) for states in assess_joint_states(bag, topic, monitor, time))
+    batches = assess_joint_states(bag, topic, monitor, time, advance=advance)
+    return chain.from_iterable(states.rows(contacts) for states in batches)
 
 
 class _Part(NamedTuple):

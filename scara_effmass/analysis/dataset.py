@@ -104,11 +104,10 @@ def assess_bag(
         ExitStack() as stack,
     ):
         topic = joint_state_topic(bag, task.topic)
-        total = next(t.count for t in bag.topics if t.name == topic)
         series = [TimeSeriesBuilder() for _ in dynamics.contact_points] if task.report else []
         monitor, name = Monitor(dynamics, settings), str(bag.path)
         summary, skew = Summary(round(settings.timeout * 1e9)), ClockSkew()
-        batches = assess_joint_states(bag, topic, monitor, task.time, velocities, skew)
+        batches = assess_joint_states(bag, topic, monitor, task.time, velocities, skew, advance)
         if task.cross_check:
             reference = Monitor(dynamics, settings, use_reference=True)
             second = stack.enter_context(open_bag(path))
@@ -118,7 +117,6 @@ def assess_bag(
         with ThreadPoolExecutor(1) as writer:
             written = writer.submit(lambda: None)
             for states in batches:
-                advance(len(states) / total)
                 count += len(states)
                 written.result()  # at most one batch waits
                 written = writer.submit(table.add, name, states)

@@ -170,7 +170,6 @@ def validate_recording(
     validator, losses = Validator(settings.validator), LossLog()
     with open_bag(path) as bag:
         states = joint_state_topic(bag, settings.topic)
-        count = next(topic.count for topic in bag.topics if topic.name == states)
         infos = tuple(run_infos(bag))
         recording = ValidatedRecording(bag.path, states, str(force_path), infos, any(info.simulated for info in infos))
         if force_path is None:
@@ -190,18 +189,17 @@ def validate_recording(
         for info in infos:
             validator.runs.begin(info if mass is None else info._replace(obstacle_mass=mass), 0)
         detector = Detector(settings.detection)
-        share, force_ns, monitor = 1.0 / count, 0, Monitor(dynamics, settings.monitor)
+        force_ns, monitor = 0, Monitor(dynamics, settings.monitor)
         contacts = _validated(monitor, defaults.contact_point)
         validator.know(dynamics.contact_points)
         before: ForceBlock | None = None
         records: tuple[Iterator[AssessedState | Measurement], ...] = (
             measured,
-            assessed_rows(bag, states, monitor, settings.time, contacts=contacts),
+            assessed_rows(bag, states, monitor, settings.time, contacts, advance),
         )
         for item in merge(*records, key=lambda record: record.log_time_ns):
             if isinstance(item, AssessedState):
                 recording.joint_states += 1
-                advance(share)
                 validator.add_decision(item.decision, item.log_time_ns)
                 continue
             value = item.value._replace(simulated=item.value.simulated or recording.simulated)

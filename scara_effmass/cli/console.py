@@ -11,9 +11,10 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
+from functools import partial
 from itertools import chain
 from textwrap import wrap
-from typing import TYPE_CHECKING, Any, TextIO, TypeVar
+from typing import Any, TextIO
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console, Group
@@ -23,11 +24,6 @@ from rich.table import Table
 from rich.text import Text
 
 from scara_effmass.values import ContactAssessment, Decision, Verdict, at_most
-
-if TYPE_CHECKING:
-    from scara_effmass.bags.bag import Bag
-
-Item = TypeVar("Item")
 
 PIPE_WIDTH = 160
 """Width of the output without a terminal [columns]."""
@@ -168,12 +164,11 @@ def progress_bar(*columns: ProgressColumn) -> Progress:
     )
 
 
-def tracked(progress: Progress, bag: Bag, topic: str, items: Iterable[Item]) -> Iterator[Item]:
-    """Yield `items`, one for each message on `topic` of `bag`, and show how many are done."""
-    task = progress.add_task(bag.path.name, total=next(t.count for t in bag.topics if t.name == topic))
-    for item in items:
-        progress.advance(task)
-        yield item
+@contextmanager
+def shown_progress(name: str, total: float = 1.0) -> Iterator[partial[None]]:
+    """Give a function that advances a progress bar called `name`, by 1 or by its argument, of `total`."""
+    with progress_bar() as progress:
+        yield partial(progress.advance, progress.add_task(name, total=total))
 
 
 ShowStatus = Callable[[Decision, float], None]

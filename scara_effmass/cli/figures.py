@@ -3,11 +3,10 @@
 
 import argparse
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 
 from scara_effmass.analysis.workspace_map import AS_SAMPLED
-from scara_effmass.cli.console import print_result, progress_bar
+from scara_effmass.cli.console import print_result, shown_progress
 from scara_effmass.cli.options import load_dynamics, monitor_settings
 from scara_effmass.errors import SettingsError
 from scara_effmass.safety import Monitor
@@ -23,10 +22,9 @@ def run(args: argparse.Namespace) -> int:
     """Write figures and claims, and print a summary."""
     if args.robot:
         return _other_robot(args)
-    with progress_bar() as progress:
-        task = progress.add_task("figures", total=STEPS)
+    with shown_progress("figures", STEPS) as advance:
         inputs = read_inputs(load_dynamics(MonitorSettings()), args.campaign or share("bags", "campaign"))
-        figure_set = make_figure_set(inputs, args.output, overwrite=args.force, advance=lambda: progress.advance(task))
+        figure_set = make_figure_set(inputs, args.output, overwrite=args.force, advance=advance)
     result = {"output": str(args.output), **figure_set.as_dict()}
     print_result(result, _lines(figure_set, args.output), as_json=args.json)
     return 0
@@ -38,9 +36,8 @@ def _other_robot(args: argparse.Namespace) -> int:
         raise SettingsError(f"--campaign = {args.campaign}: must belong to the paper's robot, so without --robot")
     settings = monitor_settings(args, **AS_SAMPLED)
     monitor = Monitor(load_dynamics(settings), settings)
-    with progress_bar() as progress:
-        task = progress.add_task("configurations", total=SAMPLES)
-        summary = make_figures(monitor, args.output, overwrite=args.force, advance=partial(progress.advance, task))
+    with shown_progress("configurations", SAMPLES) as advance:
+        summary = make_figures(monitor, args.output, overwrite=args.force, advance=advance)
     lines = [("figures", ", ".join(summary["figures"])), ("model", summary["model"])]
     lines += [("left out", f"{part}: {reason}") for part, reason in summary["left_out"].items()]
     print_result(summary, [*lines, ("written", args.output / PAGE)], as_json=args.json)

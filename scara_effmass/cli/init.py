@@ -18,7 +18,7 @@ from scara_effmass.analysis.assumption_worth import POSES, TYPICAL_SPEED, worth_
 from scara_effmass.analysis.output import atomic_file, check_output_path
 from scara_effmass.analysis.summary import Summary
 from scara_effmass.bags.files import open_bag
-from scara_effmass.cli.console import print_lines, print_table, progress_bar
+from scara_effmass.cli.console import print_lines, print_table, shown_progress
 from scara_effmass.cli.doctor import cell_results, tightest
 from scara_effmass.cli.options import SHOWN, Option, monitor_settings, options_of, robot_line, shell_path
 from scara_effmass.errors import EffmassError, SettingsError
@@ -156,12 +156,10 @@ def _misfit(args: argparse.Namespace, settings: MonitorSettings, dynamics: Robot
 def _recording(args: argparse.Namespace, settings: MonitorSettings, dynamics: RobotDynamics) -> tuple[str, Summary]:
     """Return the topic of the joint states, and the summary of their assessment. Raises BagError."""
     summary = Summary(round(settings.timeout * 1e9))
-    with open_bag(args.bag) as bag, progress_bar() as progress:
+    with open_bag(args.bag) as bag, shown_progress(bag.path.name) as advance:
         topic = joint_state_topic(bag, args.topic)
-        task = progress.add_task(bag.path.name, total=next(t.count for t in bag.topics if t.name == topic))
-        for states in assess_joint_states(bag, topic, Monitor(dynamics, settings)):
+        for states in assess_joint_states(bag, topic, Monitor(dynamics, settings), advance=advance):
             summary.add(states)
-            progress.advance(task, len(states))
         summary.end(bag.end_ns)
     return topic, summary
 

@@ -21,7 +21,7 @@ from scara_effmass.analysis.report import figure_files, report_figure, write_rep
 from scara_effmass.analysis.summary import REASONS_SHOWN
 from scara_effmass.analysis.tables import provenance
 from scara_effmass.bags.files import bag_bytes, find_bags, open_bag
-from scara_effmass.cli.console import print_result, progress_bar, tracked
+from scara_effmass.cli.console import print_result, shown_progress
 from scara_effmass.cli.options import load_dynamics, monitor_settings, require_no_payload_topic, robot_line
 from scara_effmass.cli.tasks import SMALL_BYTES, Advance, open_run, sound
 from scara_effmass.errors import BagError, SettingsError
@@ -99,10 +99,9 @@ def _recorded_motion(
     args: argparse.Namespace, dynamics: RobotDynamics, settings: MonitorSettings
 ) -> tuple[Motion, list[Decision], list[str]]:
     """Return the recorded motion, the decisions on it, and what could not be read. Raises BagError."""
-    with progress_bar() as progress, open_bag(args.bag) as bag:
+    with open_bag(args.bag) as bag, shown_progress(bag.path.name) as advance:
         topic = joint_state_topic(bag, args.topic)
-        assessed = assessed_rows(bag, topic, Monitor(dynamics, settings), Time.HEADER)
-        items = list(tracked(progress, bag, topic, assessed))
+        items = list(assessed_rows(bag, topic, Monitor(dynamics, settings), Time.HEADER, advance=advance))
         losses = list(bag.losses)
     states = [item.state for item in items if item.state]
     if len(states) < max(len(items), 2):
@@ -171,9 +170,7 @@ def _counted(settings: MonitorSettings, topic: str | None, time: Time, path: Pat
     with open_bag(path) as bag:
         topic = joint_state_topic(bag, topic)
         coverage.begin(f"{bag.path.name}, {bag.start_ns} ns")  # also after it was moved
-        share = 1.0 / next(stored.count for stored in bag.topics if stored.name == topic)
-        for _, state, decision in assessed_rows(bag, topic, Monitor(dynamics, settings), time):
-            advance(share)
+        for _, state, decision in assessed_rows(bag, topic, Monitor(dynamics, settings), time, advance=advance):
             if state is not None:
                 coverage.add(state, decision.contacts)
         coverage.losses += bag.losses

@@ -5,7 +5,6 @@ import argparse
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from shlex import quote
 from typing import Any
@@ -26,7 +25,7 @@ from scara_effmass.analysis.protocol_evaluation import (
 from scara_effmass.analysis.report import PAGE, PageOptions
 from scara_effmass.analysis.workspace_map import AS_SAMPLED, Plane, sample_workspace
 from scara_effmass.bags.files import open_bag
-from scara_effmass.cli.console import print_json, print_result, progress_bar, tracked
+from scara_effmass.cli.console import print_json, print_result, shown_progress
 from scara_effmass.cli.options import (
     load_dynamics,
     monitor_settings,
@@ -86,10 +85,9 @@ def run_init(args: argparse.Namespace) -> int:
 
 
 def _add_recording(plan: Plan, args: argparse.Namespace, settings: MonitorSettings, dynamics: RobotDynamics) -> None:
-    with open_bag(args.recording) as bag, progress_bar() as progress:
+    with open_bag(args.recording) as bag, shown_progress(bag.path.name) as advance:
         topic, monitor = joint_state_topic(bag, args.topic), Monitor(dynamics, settings)
-        assessed = assessed_rows(bag, topic, monitor)
-        for _, state, decision in tracked(progress, bag, topic, assessed):
+        for _, state, decision in assessed_rows(bag, topic, monitor, advance=advance):
             if state is not None:
                 pose = dict(zip(monitor.names_of(state.names), state.position.tolist(), strict=False))
                 for contact in decision.contacts:
@@ -99,10 +97,9 @@ def _add_recording(plan: Plan, args: argparse.Namespace, settings: MonitorSettin
 def _add_workspace(plan: Plan, args: argparse.Namespace, settings: MonitorSettings, dynamics: RobotDynamics) -> None:
     """Add configurations that move along the axes of the base. Raises RobotError if none of them can."""
     samples = []
-    with progress_bar() as progress:
-        task = progress.add_task("configurations", total=len(BASE_AXES) * args.samples)
+    with shown_progress("configurations", len(BASE_AXES) * args.samples) as advance:
         for axis in BASE_AXES:
-            monitor, advance = Monitor(dynamics, settings), partial(progress.advance, task)
+            monitor = Monitor(dynamics, settings)
             with suppress(RobotError):  # a robot need not move along every axis
                 samples.append(sample_workspace(monitor, axis, "", Plane(), args.samples, advance))
     if not samples:
