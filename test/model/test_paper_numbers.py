@@ -41,15 +41,6 @@ q2_values = st.floats(-Q2_RANGE, Q2_RANGE)
 directions = st.floats(-np.pi, np.pi)
 
 
-def cell_centres(lower: float, upper: float, count: int) -> FloatArray:
-    return np.asarray(lower + (np.arange(count) + 0.5) * (upper - lower) / count)
-
-
-def right_arm_grid(count: int) -> tuple[FloatArray, FloatArray]:
-    q1, q2 = np.meshgrid(cell_centres(-Q1_RANGE, Q1_RANGE, count), cell_centres(0.0, Q2_RANGE, count), indexing="ij")
-    return q1, q2
-
-
 def reduced(mass: FloatArray, obstacle: float) -> FloatArray:
     return np.asarray(1.0 / (1.0 / mass + 1.0 / obstacle))
 
@@ -73,11 +64,6 @@ def test_planar_masses_are_m2_and_m3(omron: Robot, omron_dynamics: RobotDynamics
 def test_iso_mass(omron: Robot) -> None:
     assert omron.moving_mass == pytest.approx(5.04)
     assert omron.iso_mass == pytest.approx(M_R, abs=0.005)
-
-
-@pytest.mark.parametrize(("obstacle", "mu"), [(0.50, 0.42), (2.39, 1.28), (3.72, 1.59), (7.35, 2.01)])
-def test_reduced_mass_of_the_iso_mass(omron: Robot, obstacle: float, mu: float) -> None:
-    assert reduced(np.array(omron.iso_mass), obstacle) == pytest.approx(mu, abs=0.0051)
 
 
 @given(q1=q1_values, q2=q2_values, phi=directions)
@@ -142,45 +128,6 @@ def test_masses_are_invariant_under_rotation_and_reflection(q1: float, q2: float
         assert law(q1, q2, phi + np.pi, *parameters) == pytest.approx(mass, rel=1e-6)
 
 
-def test_distribution_over_the_workspace_along_x() -> None:
-    q1, q2 = right_arm_grid(2000)
-    area = np.sin(q2)  # |d(x, y) / d(q1, q2)| = l1 l2 |sin q2|
-    mass = scara_lumped_mass(q1, q2, 0.0, M2, M3)
-    assert np.average(mass < M_R, weights=area) == pytest.approx(0.709, abs=5e-4)
-    assert np.average(mass > M_R, weights=area) == pytest.approx(0.29, abs=5e-3)
-    assert np.average(mass, weights=area) == pytest.approx(2.359, abs=1e-3)
-    assert weighted_median(mass, area) == pytest.approx(1.7725, abs=2e-4)
-
-
-def test_distribution_over_the_workspace_along_y() -> None:
-    q1, q2 = right_arm_grid(2000)
-    mass = scara_lumped_mass(q1, q2, np.pi / 2.0, M2, M3)
-    assert np.average(mass < M_R, weights=np.sin(q2)) == pytest.approx(0.773, abs=5e-4)
-    assert weighted_median(mass, np.sin(q2)) == pytest.approx(1.427, abs=1e-3)
-
-
-def test_distribution_has_its_two_peaks() -> None:
-    q1, q2 = right_arm_grid(1000)
-    density, edges = np.histogram(
-        scara_lumped_mass(q1, q2, 0.0, M2, M3), bins=np.arange(M3 - 0.07, 6.0, 0.1), weights=np.sin(q2), density=True
-    )
-    inner = np.flatnonzero((density[1:-1] > density[:-2]) & (density[1:-1] > density[2:])) + 1
-    peaks = (edges[inner] + edges[inner + 1]) / 2.0
-    np.testing.assert_allclose(peaks, [1.0, 3.35], atol=0.1)
-
-
-def test_errors_of_the_simplified_model_on_the_grid_of_50_by_50() -> None:
-    q1, q2 = right_arm_grid(50)
-    simplified, full = scara_lumped_mass(q1, q2, 0.0, M2, M3), scara_full_mass(q1, q2, 0.0, FITTED)
-    error = np.abs(full - simplified) / full
-    assert error.max() == pytest.approx(0.1004, abs=1e-4)
-    assert np.percentile(error, 75) == pytest.approx(0.0488, abs=1e-4)
-    assert np.all(simplified > full)
-    for obstacle, worst in zip(OBSTACLES, (0.0118, 0.0285, 0.0349, 0.0459), strict=True):
-        mu = reduced(full, obstacle)
-        assert (np.abs(mu - reduced(simplified, obstacle)) / mu).max() == pytest.approx(worst, abs=1e-4)
-
-
 def test_impact_point_of_figure_17(omron_dynamics: RobotDynamics, along: Callable[..., ContactState]) -> None:
     q1, q2 = joint_angles(0.3, 0.2, elbow=1.0)
     assert np.degrees([q1, q2]) == pytest.approx([-15.35, 98.08], abs=0.005)
@@ -195,13 +142,3 @@ def test_impact_point_of_figure_17(omron_dynamics: RobotDynamics, along: Callabl
 @pytest.mark.parametrize(("y", "mass"), [(0.2, 0.981), (0.0, 1.247), (-0.2, 2.891)])
 def test_three_points_that_span_the_range(y: float, mass: float) -> None:
     assert scara_lumped_mass(*joint_angles(0.3, y, elbow=1.0), 0.0, M2, M3) == pytest.approx(mass, abs=5e-4)
-
-
-def test_reduced_mass_tends_to_the_obstacle() -> None:
-    assert reduced(np.array(np.inf), 2.39) == 2.39
-
-
-def weighted_median(values: FloatArray, weights: FloatArray) -> float:
-    order = np.argsort(values, axis=None)
-    share = np.cumsum(weights.ravel()[order])
-    return float(values.ravel()[order][np.searchsorted(share, share[-1] / 2.0)])
