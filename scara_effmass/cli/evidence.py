@@ -34,8 +34,7 @@ def run(args: argparse.Namespace) -> int:
     if args.force:
         table.unlink(missing_ok=True)
     with open_run(args, "simulated impacts") as run_tasks:
-        for _ in extend_table(table, args.seed, args.impacts, partial(_rows, run_tasks)):
-            pass
+        extend_table(table, args.seed, args.impacts, partial(_rows, run_tasks))
     evidence = write_evidence(args.output, args.seed)
     result = {"output": str(args.output), "seed": args.seed, **evidence.as_dict()}
     print_result(result, _lines(evidence, args.output), as_json=args.json)

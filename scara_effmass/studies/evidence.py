@@ -9,7 +9,7 @@ the link. The table of the impacts is a CSV file that grows with each, so that a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -265,8 +265,8 @@ def extend_table(
     seed: int,
     impacts: int,
     run: Callable[[Simulate, Sequence[int]], Iterable[list[Row]]] = map,
-) -> Iterator[int]:
-    """Append random impacts of the series `seed` to the CSV file `path` until it has `impacts`; yield their number.
+) -> None:
+    """Append random impacts of the series `seed` to the CSV file `path` until it has `impacts`.
 
     The last impact of an existing table is simulated again and must give the same rows, so that the result is that of a
     run without interruption. `run` simulates impacts by their numbers and yields their rows in that order. Raises
@@ -289,11 +289,9 @@ def extend_table(
             file.truncate(sum(map(len, kept)))
             file.write(again if kept else header + again)
             file.flush()
-            yield last + 1
-            for index, rows in enumerate(run(partial(simulate, seed), range(last + 1, impacts)), start=last + 1):
+            for rows in run(partial(simulate, seed), range(last + 1, impacts)):
                 file.write(_lines(rows))
                 file.flush()
-                yield index + 1
 
 
 def _lines(rows: Iterable[Row]) -> str:

@@ -159,8 +159,10 @@ SEED = 3
 def table(tmp_path_factory: pytest.TempPathFactory) -> str:
     """Five impacts without interruption."""
     path = tmp_path_factory.mktemp("table") / "impacts.csv"
-    assert list(extend_table(path, SEED, 5)) == [1, 2, 3, 4, 5]
-    return path.read_text(encoding="utf-8")
+    extend_table(path, SEED, 5)
+    text = path.read_text(encoding="utf-8")
+    assert [*dict.fromkeys(line.split(",")[0] for line in text.splitlines())] == ["index", *"01234"]
+    return text
 
 
 def test_every_setting_starts_at_exactly_the_allowed_speed() -> None:
@@ -279,7 +281,7 @@ def test_rows_do_not_depend_on_what_was_simulated_before(table: str) -> None:
 def test_resumed_table_is_that_of_one_run(table: str, tmp_path: Path, size: float) -> None:
     path = tmp_path / "impacts.csv"
     path.write_text(table[: size if isinstance(size, int) else int(size * len(table))], encoding="utf-8")
-    assert list(extend_table(path, SEED, 5))[-1] == 5
+    extend_table(path, SEED, 5)
     assert path.read_text(encoding="utf-8") == table
 
 
@@ -290,7 +292,7 @@ def test_table_of_another_run_is_refused_and_kept(table: str, tmp_path: Path, ch
     text = {"seed": table, "header": f"x{table}", "number": number, "line": "other", "binary": "\xff"}[change]
     path.write_text(text, encoding="latin-1")
     with pytest.raises(OutputError, match=r"impacts.csv: must be of this seed and version"):
-        list(extend_table(path, SEED + (change == "seed"), 6))
+        extend_table(path, SEED + (change == "seed"), 6)
     assert path.read_text(encoding="latin-1") == text
 
 
@@ -298,4 +300,4 @@ def test_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.touch()
     with pytest.raises(OutputError, match=r"file/impacts.csv: cannot be written"):
-        list(extend_table(file / "impacts.csv", SEED, 1))
+        extend_table(file / "impacts.csv", SEED, 1)
