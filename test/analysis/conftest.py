@@ -3,6 +3,7 @@
 
 import hashlib
 from collections.abc import Callable
+from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -40,6 +41,35 @@ class Altered(Protocol):
         info: dict[str, Any] | None = None,
         without: str = "",
     ) -> Path: ...
+
+
+class Page(HTMLParser):
+    """What a page holds: tags still open, addresses it names, its texts, pictures and table rows."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.addresses: list[str] = []
+        self.texts: list[str] = []
+        self.pictures: list[dict[str, str | None]] = []
+        self.rows = 0
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.addresses += [value or "" for name, value in attrs if name in {"src", "href", "srcset", "data", "action"}]
+        self.rows += tag == "tr"
+        if tag == "img":
+            self.pictures.append(dict(attrs))
+        if tag not in {"meta", "img", "br"}:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if data.strip():
+            self.texts.append(data.strip())
 
 
 @pytest.fixture(scope="session")

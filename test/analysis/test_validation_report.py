@@ -4,7 +4,6 @@
 import json
 import math
 from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -21,6 +20,7 @@ from scara_effmass.impacts.validator import ComparedForces
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import ValidatorSettings
 from scara_effmass.values import RefusedImpact
+from test.analysis.conftest import Page
 
 
 class Altered(Protocol):
@@ -28,30 +28,6 @@ class Altered(Protocol):
 
 
 SETTINGS = ValidationSettings()
-
-
-class Page(HTMLParser):
-    """What a page holds: tags still open, addresses it names, its pictures and its texts."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.addresses: list[str] = []
-        self.texts: list[str] = []
-        self.feed(text)
-        self.close()
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.addresses += [value or "" for name, value in attrs if name in {"src", "href", "srcset", "data"}]
-        if tag not in {"meta", "img", "br"}:
-            self.open.append(tag)
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        if data.strip():
-            self.texts.append(data.strip())
 
 
 def written(

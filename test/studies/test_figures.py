@@ -6,7 +6,6 @@ Figures, page and claims are written together and reproducibly; the page is self
 
 import json
 from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
 
 import matplotlib as mpl
@@ -25,6 +24,7 @@ from scara_effmass.studies.figures import FIGURES, DrawFigure, figure_18, figure
 from scara_effmass.studies.runs import FigureInputs
 from scara_effmass.studies.scara import Scara
 from scara_effmass.values import FloatArray
+from test.analysis.conftest import Page
 
 BY_NUMBER = {int(draw.__name__.removeprefix("figure_")): draw for draw in FIGURES}
 
@@ -159,29 +159,6 @@ def files(inputs: FigureInputs, tmp_path_factory: pytest.TempPathFactory) -> dic
     return write_set(inputs, tmp_path_factory.mktemp("figures"))
 
 
-class Page(HTMLParser):
-    """Open tags, addresses, pictures and table rows of a page."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.addresses: list[str] = []
-        self.pictures: list[dict[str, str | None]] = []
-        self.rows = 0
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        attributes = dict(attrs)
-        self.addresses += [value or "" for name, value in attrs if name in {"src", "href", "srcset", "data", "action"}]
-        self.rows += tag == "tr"
-        if tag == "img":
-            self.pictures.append(attributes)
-        if tag not in {"meta", "img"}:
-            self.open.append(tag)
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
-
-
 def test_repeated_figure_set_gives_the_same_files(
     files: dict[str, bytes], inputs: FigureInputs, tmp_path: Path
 ) -> None:
@@ -191,9 +168,7 @@ def test_repeated_figure_set_gives_the_same_files(
 
 def test_page_is_complete_and_self_contained(files: dict[str, bytes]) -> None:
     text = files["index.html"].decode()
-    page = Page()
-    page.feed(text)
-    page.close()
+    page = Page(text)
     assert page.open == []
     assert [address[:22] for address in page.addresses] == 2 * ["data:image/png;base64,"]
     assert all(picture["alt"] for picture in page.pictures)
