@@ -13,3 +13,13 @@ contacts at the allowed speed, `evidence` random ones with a report, and `power`
 states that deceive the monitor. `bounds`, `power`, `lies` and `shipped_bags` are commands:
 `python -m scara_effmass.studies.power`.
 """
+
+import argparse
+
+
+def arguments_of(description: str | None, **defaults: float) -> argparse.Namespace:
+    """Return the options of a study: numbers with these `defaults`, and --seed."""
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    for name, default in {**defaults, "seed": 1}.items():
+        parser.add_argument(f"--{name}", type=type(default), default=default)
+    return parser.parse_args()

@@ -7,7 +7,6 @@ Joint states are those of `studies.load`, 40 s without a load. Of each link the 
 (uniform) and the centre of mass 2 cm in each axis (standard deviation); of point masses, each mass is up to 30 % off.
 """
 
-import argparse
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -21,6 +20,7 @@ from scara_effmass.identification.regression import Z_95, link_parameters
 from scara_effmass.kernel.intervals import Intervals
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.settings import MonitorSettings
+from scara_effmass.studies import arguments_of
 from scara_effmass.studies.load import CASES, EFFORT_UNCERTAINTY, Case, robot_of, simulated
 
 SECONDS = 40.0
@@ -71,10 +71,7 @@ def run(case: Case, is_lumped: bool, seed: int) -> Outcome:  # noqa: FBT001 - of
 
 def main() -> None:
     """Print the table of docs/validity.md."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--runs", type=int, default=500)
-    parser.add_argument("--seed", type=int, default=1)
-    arguments = parser.parse_args()
+    arguments = arguments_of(__doc__, runs=500)
     print("| arm | covered | half the interval | error, identified | by the file | do not fit |")  # noqa: T201
     print("|---|---|---|---|---|---|")  # noqa: T201
     with ProcessPoolExecutor() as pool:

@@ -3,13 +3,12 @@
 
     python -m scara_effmass.studies.bounds [--poses 200] [--seed 1]
 
-Each contact begins at exactly the speed that the monitor allows for that region, all margins 0. The simulation is that
-of `scara-effmass evidence`.
+Each of the --poses contacts in a row begins at exactly the speed that the monitor allows for that region, all margins
+0. The simulation is that of `scara-effmass evidence`.
 """
 
 from __future__ import annotations
 
-import argparse
 import math
 from collections.abc import Mapping, Sequence
 from functools import cache, lru_cache, partial
@@ -36,6 +35,7 @@ from scara_effmass.safety import Monitor
 from scara_effmass.settings import WHOLE_ARM, MassModel, MonitorSettings, ServoSettings
 from scara_effmass.share import share
 from scara_effmass.sim.plate_sim import AT_REST, PlateSim, Surface
+from scara_effmass.studies import arguments_of
 from scara_effmass.values import FloatArray, Verdict
 
 SMALL_TURN = 0.02
@@ -418,10 +418,7 @@ def parts_table(arms: Mapping[str, MonitoredArm], count: int, seed: int) -> Tabl
 
 def main() -> None:
     """Run the sweeps and print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--poses", type=int, default=200, help="contacts in each row")
-    parser.add_argument("--seed", type=int, default=1)
-    args = parser.parse_args()
+    args = arguments_of(__doc__, poses=200)
     rng = np.random.default_rng(args.seed)
     arms = {name: arm_of(name) for name in ROBOTS}
     console = Console(width=150)

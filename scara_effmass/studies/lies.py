@@ -3,15 +3,14 @@
 
     python -m scara_effmass.studies.lies [--runs 60] [--seed 1]
 
-Prints the tables of docs/consuming.md. Random motions of the shipped SCARA and of a UR5 are reported with the noise,
-resolution, lag and jitter of a random driver, and with a lie from a random moment on. A true VIOLATION is one of the
-true positions and velocities, without tolerances. The second table counts UNKNOWN in recordings without a lie; it needs
-a checkout of the source.
+Prints the tables of docs/consuming.md. Random motions, --runs each of the shipped SCARA and of a UR5, are reported with
+the noise, resolution, lag and jitter of a random driver, and with a lie from a random moment on. A true VIOLATION is
+one of the true positions and velocities, without tolerances. The second table counts UNKNOWN in recordings without a
+lie; it needs a checkout of the source.
 """
 
 from __future__ import annotations
 
-import argparse
 import math
 from collections.abc import Callable
 from contextlib import closing
@@ -29,6 +28,7 @@ from scara_effmass.safety import Monitor
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
 from scara_effmass.sim.motion import QuinticScaling, TrapezoidalScaling
+from scara_effmass.studies import arguments_of
 from scara_effmass.values import FloatArray, JointState, Verdict, severity
 
 ROOT = share("bags").parent
@@ -200,10 +200,7 @@ def study(name: str, runs: int, seed: int, table: Table) -> None:
 
 def main() -> None:
     """Print both tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--runs", type=int, default=60, help="motions of each robot")
-    parser.add_argument("--seed", type=int, default=1)
-    args = parser.parse_args()
+    args = arguments_of(__doc__, runs=60)
     console = Console(width=150)
     table = Table("robot", "lie", "UNKNOWN", "true VIOLATIONs", "shown OK or WARN", title="lies")
     for name in ROBOTS:

@@ -10,7 +10,6 @@ of the torque constants, 2.6 %. The shipped SCARA states no effort limits:
 here they are 60, 30, 100 (N) and 5.
 """
 
-import argparse
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
@@ -27,6 +26,7 @@ from scara_effmass.model.robot import Robot
 from scara_effmass.safety.load_watch import ALARM
 from scara_effmass.settings import MonitorSettings
 from scara_effmass.share import share
+from scara_effmass.studies import arguments_of
 from scara_effmass.values import FloatArray
 
 RATE_HZ = 100
@@ -202,11 +202,7 @@ def line(case: Case, outcomes: Sequence[tuple[Outcome, Outcome]]) -> str:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--runs", type=int, default=500)
-    parser.add_argument("--seconds", type=float, default=10.0)
-    parser.add_argument("--seed", type=int, default=1)
-    arguments = parser.parse_args()
+    arguments = arguments_of(__doc__, runs=500, seconds=10.0)
     head = "| robot | load | covered, with load | without | half the interval | found | after | false | unfit |"
     print(head)  # noqa: T201
     print("|---|---|---|---|---|---|---|---|---|")  # noqa: T201

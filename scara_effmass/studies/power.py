@@ -10,7 +10,6 @@ speed, tip, gain, clock and carts deviate as far as a careful laboratory allows 
 
 from __future__ import annotations
 
-import argparse
 import math
 from collections import Counter
 from collections.abc import Sequence
@@ -36,6 +35,7 @@ from scara_effmass.settings import DetectionSettings, MonitorSettings, Validator
 from scara_effmass.share import share
 from scara_effmass.sim.collision_sim import SpringContact
 from scara_effmass.sim.experiment import OBSTACLE_MASSES, ImpactRun, run_impact
+from scara_effmass.studies import arguments_of
 from scara_effmass.studies.campaign import Campaign
 from scara_effmass.values import Decision, Mobility6
 
@@ -201,11 +201,7 @@ def outcomes(seed: int) -> Outcomes:
 
 def main() -> None:
     """Simulate the campaigns and print the table."""
-    parser = argparse.ArgumentParser(description="Power of the validation")
-    parser.add_argument("--campaigns", type=int, default=100)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--workers", type=int, default=2)
-    args = parser.parse_args()
+    args = arguments_of(__doc__, campaigns=100, workers=2)
     seeds = range(args.seed, args.seed + args.campaigns)
     with ProcessPoolExecutor(args.workers) as pool:
         results = list(track(pool.map(outcomes, seeds), total=args.campaigns))
