@@ -3,8 +3,8 @@
 
 import math
 import os
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -73,19 +73,6 @@ def atomic_file(path: Path, *, overwrite: bool, mark: bytes = b"") -> Iterator[P
     finally:
         with suppress(OSError):
             unfinished.unlink()
-
-
-def write_files(folder: Path, files: Mapping[str, bytes], *, overwrite: bool, former: Iterable[str] = ()) -> None:
-    """Write `files` by name into `folder`: all, or none after an error. Raises OutputError.
-
-    With `overwrite`, those of `former` that are not among them are of an earlier run and are removed.
-    """
-    with ExitStack() as stack:
-        for name, content in files.items():
-            stack.enter_context(atomic_file(folder / name, overwrite=overwrite)).write_bytes(content)
-    for path in (folder / name for name in former if overwrite and name not in files):
-        with writing(path):
-            path.unlink(missing_ok=True)
 
 
 def json_types(value: Any, without: str = "") -> Any:  # noqa: ANN401 - any part of a result

@@ -11,6 +11,7 @@ import shutil
 import subprocess
 from base64 import b64encode
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import ExitStack
 from functools import lru_cache
 from io import BytesIO
 from itertools import cycle, islice
@@ -33,9 +34,9 @@ from matplotlib.text import Text
 from pydantic import BaseModel
 
 from scara_effmass import __version__
-from scara_effmass.analysis.output import write_files
+from scara_effmass.analysis.output import atomic_file
 from scara_effmass.analysis.summary import iso_time, signed
-from scara_effmass.errors import OutputError
+from scara_effmass.errors import OutputError, writing
 from scara_effmass.input_files import digest
 from scara_effmass.iso15066 import EDITION, TABLE_HASH
 from scara_effmass.settings.loading import flat_fields
@@ -311,8 +312,9 @@ def write_report_files(
 ) -> None:
     """Write `texts` by file name, `figures`, and the page as PDF if `options` say so into `folder`, all or none.
 
-    A dictionary is written as JSON. `former` are as for `write_files`, with the PDF of a page. Raises
-    OutputError, and ValueError for NaN and infinity, which JSON does not have.
+    A dictionary is written as JSON. With `overwrite`, those of `former`, and the PDF of a page, that are not
+    written are of an earlier run and are removed. Raises OutputError, and ValueError for NaN and infinity, which JSON
+    does not have.
     """
     files: dict[str, bytes] = {}
     for name, text in texts.items():
@@ -323,4 +325,10 @@ def write_report_files(
         files[PDF] = print_pdf(files[PAGE].decode())
     for figure in figures:
         files |= {f"{figure.name}.png": figure.png, f"{figure.name}.svg": figure.svg}
-    write_files(folder, files, overwrite=overwrite, former=[*former, *([PDF] if PAGE in files else [])])
+    with ExitStack() as stack:
+        for name, content in files.items():
+            stack.enter_context(atomic_file(folder / name, overwrite=overwrite)).write_bytes(content)
+    earlier = [*former, *([PDF] if PAGE in files else [])]
+    for path in (folder / name for name in earlier if overwrite and name not in files):
+        with writing(path):
+            path.unlink(missing_ok=True)

@@ -143,11 +143,11 @@ def print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[obj
     printer().print(table)
 
 
-def print_findings(headings: Sequence[str], rows: Sequence[tuple[str, str, str]]) -> None:
+def print_findings(rows: Sequence[tuple[str, str, str]]) -> None:
     """Print rows of level, subject and text: as a table, or below 100 columns as paragraphs, which keep words whole."""
     console = printer()
     if console.width >= WIDE:
-        print_table("", headings, rows)
+        print_table("", ("level", "subject", "result"), rows)
         return
     indent = 2 + max(len(level) for level, *_ in rows)
     for level, subject, text in rows:

@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
         findings = [result._asdict() for result in results]
         print_json({"healthy": healthy, "findings": findings, "joints": joints})
     else:
-        print_findings(("level", "subject", "result"), results)
+        print_findings(results)
         if joints:
             headings = ("joint", "unit", "lower", "upper", "speed [unit/s]", "link mass [kg]")
             rows = (
