@@ -6,7 +6,7 @@ from scara_effmass.daq import make_source
 from scara_effmass.daq.sim_source import HalfSineSource, SimCellSource
 from scara_effmass.daq.source import Reading
 from scara_effmass.settings import DaqSettings, SensorSettings, SimSettings
-from scara_effmass.sim.experiment import CONTROL_PERIOD_NS
+from scara_effmass.sim.collision_sim import CONTROL_PERIOD_NS
 from scara_effmass.sim.measurement import ForceSensor, RandomPulses, SyntheticSignal
 from test.daq.force_bag import Clock
 
