@@ -141,7 +141,7 @@ def assess_joint_states(
     describes one, and at the end if no joint state names a joint of the robot.
     """
     threads = min(len(os.sched_getaffinity(0)), MAX_THREADS)
-    total = next(stored.count for stored in bag.topics if stored.name == topic)
+    total = max(next(stored.count for stored in bag.topics if stored.name == topic), 1)  # metadata can be wrong
     waiting: deque[Future[tuple[list[_Part], FloatArray]]] = deque()
 
     def settled() -> AssessedStates:
