@@ -188,28 +188,33 @@ class SpeedScalingNode(LifecycleBase[NodeSettings]):
         with self._lock:
             reason, unreported, self._unreported = self._reason, self._unreported, ""
             disobedience = self._scaler.disobedience if self._publishing else ""
-        controllers = self._count_controllers()
+        controllers, senders = self._count_others()
+        topic = self._publisher.topic_name
         problem = disobedience or (f"stopped: {reason}" if reason else "")
         if not problem and unreported:
             problem = f"was stopped for a moment: {unreported}"
-        if not controllers:
-            unheard = f"no controller subscribes to {self._publisher.topic_name}: remap it to that of the controller"
-            problem = f"{problem}; {unheard}" if problem else unheard
+        others = f"{senders} nodes send factors on {topic}: must be one, the controller obeys the last message"
+        unheard = f"no controller subscribes to {topic}: remap it to that of the controller"
+        problems = (problem, others if senders > 1 else "", "" if controllers else unheard)
         values = {
             "factor": self._factor,
             "controllers": controllers,
+            "senders": senders,
             "stops": self._stops,
             "lost contact states": self._lost,
             "skipped contact states": self._skipped,
         }
-        return [status("speed scaling", "standby" if self.settings.standby else "scaling", values, problem=problem)]
+        message = "standby" if self.settings.standby else "scaling"
+        return [status("speed scaling", message, values, problem="; ".join(filter(None, problems)))]
 
-    def _count_controllers(self) -> int:
-        """Return the number of subscribers of the factor; a node that also sends it is on standby."""
+    def _count_others(self) -> tuple[int, int]:
+        """Return how many controllers subscribe to the factor, and how many nodes send it; one on standby does both."""
         topic = self._publisher.topic_name
-        senders = {(info.node_namespace, info.node_name) for info in self.get_publishers_info_by_topic(topic)}
-        subscribers = self.get_subscriptions_info_by_topic(topic)
-        return sum((info.node_namespace, info.node_name) not in senders for info in subscribers)
+        senders, subscribers = (
+            [(info.node_namespace, info.node_name) for info in infos]
+            for infos in (self.get_publishers_info_by_topic(topic), self.get_subscriptions_info_by_topic(topic))
+        )
+        return sum(name not in senders for name in subscribers), sum(name not in subscribers for name in senders)
 
 
 main = partial(run, "speed_scaling", SpeedScalingNode)

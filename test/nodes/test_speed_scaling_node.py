@@ -318,6 +318,25 @@ def test_status_warns_of_stops_and_of_a_controller_that_does_not_obey_in_few_lin
     node.spin_until(lambda: told("for a moment"), repeat=send)
 
 
+def test_second_sender_of_factors_is_a_warning_and_one_on_standby_is_none(
+    new_harness: Callable[..., NodeHarness], tmp_path: Path
+) -> None:
+    node = new_harness(name="speed_scaling")
+    node.start("--ros-args", command=(str(NODE),))
+    node.node.create_subscription(DiagnosticArray, "/diagnostics", node.diagnostics.append, DEEP_QOS)
+    received_factors(node)
+    with ExitStack() as stack:
+        for name in ("standby", "of_another_cell"):
+            assert "nodes send factors" not in node.diagnostic("/speed_scaling: speed scaling", "senders", bool)
+            other = stack.enter_context(closing(NodeHarness(node.domain, tmp_path, name)))
+            standby = str(name == "standby").lower()
+            other.start("--ros-args", "-r", f"__node:={name}", "-p", f"standby:={standby}", command=(str(NODE),))
+            node.diagnostic(f"/{name}: speed scaling", "controllers", lambda value: value == "1")
+        text = node.diagnostic("/speed_scaling: speed scaling", "senders", lambda value: value == "2")
+        assert "2 nodes send factors on /joint_trajectory_controller/speed_scaling_input: must be one" in text
+    node.diagnostic("/speed_scaling: speed scaling", "senders", lambda value: value == "1")
+
+
 @pytest.mark.parametrize("fault", ["SIGSTOP", "SIGKILL"])
 def test_node_on_standby_sends_0_while_the_other_one_hangs(cell: Start, tmp_path: Path, fault: str) -> None:
     monitor, node, factors = cell(*FAST)
