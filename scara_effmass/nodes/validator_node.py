@@ -145,10 +145,11 @@ class ValidatorNode(LifecycleBase[NodeSettings]):
         contact_points, self._contact_points = self._contact_points, set()
         force = (topics.FORCE, "ForceBlock") if self.settings.find_impacts else (topics.IMPACT, "Impact")
         inputs = ((topics.CONTACT_STATES, "ContactStates"), force)
-        unheard = (
+        unheard = [
             several_publishers(self, topic) or no_publisher(self, topic, f"scara_effmass_msgs/msg/{kind}")
             for topic, kind in inputs
-        )
+        ]
+        unheard.append(several_publishers(self, topics.IMPACT_VALIDATION))  # another validator
         return [
             series_status(
                 self._validator,
@@ -219,7 +220,7 @@ def series_status(
 
     Its message has every problem, the most serious one first. `contact_points` are those assessed since the last
     report, not by the watchdog. `undecodable` counts messages by type since the last reset, and `example` is the error
-    of the last one. `unheard` says that an input has no publisher, or several.
+    of the last one. `unheard` says that an input has no publisher, or that a topic has several.
     """
     result = validator.result()
     selected, fit = next((model.overall, model.fit) for model in result.models if model.model == result.model)

@@ -218,6 +218,13 @@ def test_write_report_service_writes_the_report(node: ValidatorHarness) -> None:
     assert record["models"][0]["correlation"] == node.received[-1].series.correlation
 
 
+def test_second_validator_on_the_same_topic_is_a_warning(node: ValidatorHarness) -> None:
+    second = node.harness.node.create_publisher(ImpactValidation, "impact_validation", DEEP)
+    warning = "2 publishers of /impact_validation: must be one"
+    node.harness.spin_until(lambda: any(warning in s.message for d in node.harness.diagnostics for s in d.status))
+    node.harness.node.destroy_publisher(second)
+
+
 def test_folder_that_the_file_system_refuses_does_not_end_the_node(new_harness: Callable[..., NodeHarness]) -> None:
     harness = new_harness(name="validator")
     harness.start("--ros-args", "-p", f"report_folder:={300 * 'x'}", command=[str(EXECUTABLE)])
