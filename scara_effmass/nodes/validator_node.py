@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`validator_node`: compare measured impacts with predictions from the contact states at their onsets."""
 
+import time
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable
 from collections.abc import Set as AbstractSet
@@ -28,7 +29,6 @@ from scara_effmass.settings import DetectionSettings, MonitorSettings, Validator
 from scara_effmass.settings.loading import fixed
 from scara_effmass.values import Decision, ValidatedImpact, at_least, at_most
 from scara_effmass.wire import topics
-from scara_effmass.wire.cdr import NS
 from scara_effmass.wire.contact_states import decode_contact_states
 from scara_effmass.wire.force import decode_force_block, decode_impact
 from scara_effmass.wire.impact_validation import impact_validation_message
@@ -182,7 +182,8 @@ class ValidatorNode(LifecycleBase[NodeSettings]):
         report_settings = ValidationSettings(monitor=monitor, validator=validator, detection=settings.detection)
         robot = load_robot(monitor.robot_path, monitor)
         validation = Validation(self._validator.result(), (), no_motion="the series was live")
-        folder = Path(settings.report_folder or "validation").resolve() / f"{self.now_ns() / NS:.3f}"
+        # Not the node's clock, which stands still after a replay, and is the same in the next one.
+        folder = Path(settings.report_folder or "validation").resolve() / f"{time.time():.3f}"
         validation_report.write_report(validation, report_settings, robot, folder, overwrite=False)
         return str(folder / PAGE)
 

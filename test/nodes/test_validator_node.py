@@ -218,6 +218,13 @@ def test_write_report_service_writes_the_report(node: ValidatorHarness) -> None:
     assert record["models"][0]["correlation"] == node.received[-1].series.correlation
 
 
+def test_reports_in_simulated_time_that_stands_still_are_all_written(node: ValidatorHarness) -> None:
+    assert node.harness.set_parameters(use_sim_time=True) == ""
+    answers: list[Any] = [node.harness.call_service(Trigger, "write_report", Trigger.Request()) for _ in range(2)]
+    assert [answer.success for answer in answers] == [True, True], answers
+    assert len({answer.message for answer in answers}) == 2
+
+
 def test_second_validator_on_the_same_topic_is_a_warning(node: ValidatorHarness) -> None:
     second = node.harness.node.create_publisher(ImpactValidation, "impact_validation", DEEP)
     warning = "2 publishers of /impact_validation: must be one"
