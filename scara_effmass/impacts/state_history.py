@@ -237,6 +237,7 @@ class StateHistory:
         self._settings = settings
         self._tolerance = settings.state_tolerance
         self._history_ns = round(settings.history * NANOSECONDS)
+        self._reset_ns = min(self._history_ns, round(settings.clock_tolerance * NANOSECONDS))
         self.late = 0
         self.clear()
 
@@ -262,8 +263,8 @@ class StateHistory:
         return float(np.median([state.received_ns - state.stamp_ns for state in self._states]))
 
     def is_clock_reset(self, stamp_ns: int) -> bool:
-        """Return whether `stamp_ns` is older than the history: the clock jumped back, or a new recording began."""
-        return bool(self._states) and 0 < stamp_ns < self.last_ns - self._history_ns
+        """Return whether the clock jumped back, or a new recording began: the states so far are of another time."""
+        return bool(self._states) and 0 < stamp_ns < self.last_ns - self._reset_ns
 
     def add(self, stamp_ns: int, contact: ContactAssessment, received_ns: int) -> None:
         """Add the state at `stamp_ns` that arrived at `received_ns` (0: unknown)."""

@@ -724,7 +724,7 @@ def test_reset_begins_a_new_series(campaign: Cell) -> None:
     for impact in campaign.impacts:
         validator.add_impact(*impact)
     assert validator.result().seen == 12
-    validator.add_decision(campaign.states[0][0], 0)
+    validator.add_decision(campaign.states[-2][0], 0)
     assert validator.result().late_states == 1
     validator.reset()
     result = validator.result()
@@ -786,6 +786,20 @@ def test_a_clock_that_goes_back_begins_a_new_recording(make_state: MakeState, ma
     assert validator.result().unpaired == {"no contact state within 50 ms after the onset": 1}
     (validated,) = validator.add_impact(make_impact(early + 5 * MS), 0)
     assert validated.obstacle_mass == 3.0
+
+
+def test_impact_after_the_clock_went_back_is_not_compared_with_states_of_the_time_before(
+    make_state: MakeState, make_impact: MakeImpact
+) -> None:
+    """Within the history, they have the same stamps."""
+    validator = Validator(ValidatorSettings(obstacle_mass=2.0))
+    for ms in range(0, 3000, 10):
+        validator.add_decision(make_state(START + ms * MS, 0.25), START + ms * MS)
+    for ms in range(1000, 1500, 10):
+        validator.add_decision(make_state(START + ms * MS, 0.5), START + ms * MS)
+    (validated,) = validator.add_impact(make_impact(START + 1205 * MS), START + 1300 * MS)
+    assert validated.speed == pytest.approx(0.5)
+    assert validator.result().late_states == 0
 
 
 def test_the_series_is_predicted_with_its_own_stiffness(make_cell: MakeCell) -> None:
