@@ -130,7 +130,18 @@ def _installation() -> Iterator[CheckResult]:
             reason = " ".join(str(error).split()) or type(error).__name__
             yield CheckResult("wrong", subject, f"{reason}; install scara_effmass again, or source ROS 2")
     compiled = "compiled by numba, for the live monitor and for many joint states at once"
-    yield CheckResult.of("kernel", compiled, import_module("scara_effmass.kernel.compiled").why_not())
+    yield CheckResult.of("kernel", compiled, _kernel_problem())
+
+
+def _kernel_problem() -> str:
+    """Return why the kernel cannot be compiled, or cannot be kept for the next start; empty if it is both."""
+    from scara_effmass.kernel.compiled import FILE, cache_folders, why_not  # noqa: PLC0415 - loads the kernel
+
+    folders = cache_folders()
+    is_plain = os.environ.get("NUMBA_DISABLE_JIT", "0") != "0"
+    if (reason := why_not()) or is_plain or any(os.path.exists(folder / FILE) for folder in folders):  # noqa: PTH110 - no right to look is no error
+        return reason
+    return f"every start compiles it for about a minute: must be able to write {folders[0]}, else set NUMBA_CACHE_DIR"
 
 
 def _version(module: str, wheel: str) -> str:

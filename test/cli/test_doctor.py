@@ -69,6 +69,20 @@ def test_results_fit_into_80_columns_and_keep_their_words(
     assert len(lines) < 90
 
 
+def test_kernel_that_cannot_be_kept_is_a_note(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, result = run_doctor(capsys)
+    assert "compiled by numba" in texts(result, "ok")["kernel"]
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "/dev/null")  # the library has been loaded before
+    code, result = run_doctor(capsys)
+    assert code == 0
+    assert (
+        "every start compiles it for about a minute: must be able to write /dev/null/kernel-"
+        in texts(result, "note")["kernel"]
+    )
+
+
 def test_shipped_robot_is_healthy(capsys: pytest.CaptureFixture[str]) -> None:
     code, result = run_doctor(capsys)
     assert code == 0
