@@ -39,12 +39,13 @@ MAX_COUNTS_BYTES = 50_000_000
 class Coverage(BaseModel):
     """Number of joint states in each bin of "position JOINT", "direction POINT" and "speed POINT".
 
-    `ranges` are those of the joints [rad, m] by name; one without limits is a full turn. `poses` are the visited
-    combinations of POSE_BINS bins per joint, as numbers to that base.
+    `ranges` are those of the joints [rad, m] by name; that of a `continuous` one is a full turn. `poses` are the
+    visited combinations of POSE_BINS bins per joint, as numbers to that base.
     """
 
     robot: str
     ranges: dict[str, tuple[float, float]]
+    continuous: set[str] = set()
     recordings: list[str] = []
     joint_states: NonNegativeInt = 0
     counts: dict[str, list[NonNegativeInt]]
@@ -58,11 +59,14 @@ class Coverage(BaseModel):
     def of_robot(cls, robot: Robot) -> Coverage:
         """Return an empty coverage."""
         limits = zip(robot.model.lowerPositionLimit.tolist(), robot.model.upperPositionLimit.tolist(), strict=True)
-        ranges = [ends if all(map(math.isfinite, ends)) else (-math.pi, math.pi) for ends in limits]
-        counts = {f"position {name}": [0] * POSITIONS for name in robot.joint_names}
+        names, turns = robot.joint_names, robot.periods.tolist()
+        ranges = [(-turn / 2.0, turn / 2.0) if turn else ends for ends, turn in zip(limits, turns, strict=True)]
+        continuous = {name for name, turn in zip(names, turns, strict=True) if turn}
+        counts = {f"position {name}": [0] * POSITIONS for name in names}
         for point in robot.contact_frames:
             counts |= {f"direction {point}": [0] * (AZIMUTHS * ELEVATIONS), f"speed {point}": [0] * len(SPEEDS)}
-        return cls(robot=robot.name, ranges=dict(zip(robot.joint_names, ranges, strict=True)), counts=counts)
+        ranges_by_name = dict(zip(names, ranges, strict=True))
+        return cls(robot=robot.name, ranges=ranges_by_name, continuous=continuous, counts=counts)
 
     def begin(self, recording: str) -> None:
         """Start a recording. Raises SettingsError if it has been counted already."""
@@ -80,8 +84,9 @@ class Coverage(BaseModel):
         position_of = dict(zip(state.names, state.position.tolist(), strict=True))
         pose = 0
         for name, (lower, upper) in self.ranges.items():
+            share = (position_of[name] - lower) / (upper - lower)
             # The monitor's tolerance admits positions slightly outside of the limits.
-            share = min(max((position_of[name] - lower) / (upper - lower), 0.0), 1.0 - 1e-12)
+            share = share % 1.0 if name in self.continuous else min(max(share, 0.0), 1.0 - 1e-12)
             self.counts[f"position {name}"][int(share * POSITIONS)] += 1
             pose = pose * POSE_BINS + int(share * POSE_BINS)
         self.poses.add(pose)

@@ -14,10 +14,12 @@ from hypothesis import strategies as st
 
 from scara_effmass.analysis.coverage import AZIMUTHS, ELEVATIONS, POSITIONS, SPEEDS, Coverage
 from scara_effmass.errors import SettingsError
+from scara_effmass.model.load import load_robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import unknown_contact
 from scara_effmass.values import ContactAssessment, JointState, Vector3, Verdict
 
+KINOVA = Path(__file__).parents[1] / "robots" / "kinova.urdf"
 JOINTS = ("joint1", "joint2", "joint3", "joint4")
 POINTS = ("tool", "elbow")
 
@@ -89,6 +91,18 @@ def test_bins_hold_their_values(dynamics: RobotDynamics) -> None:
     assert shares["poses"] == 1 / 256
     assert shares["position joint1"] == 1 / POSITIONS
     assert shares["fastest_bin_from_m_s"] == {"speed tool": 0.05, "speed elbow": 0.05}
+
+
+def test_continuous_joint_covers_a_turn_however_often_it_has_turned() -> None:
+    dynamics = RobotDynamics(load_robot(KINOVA))
+    names, coverage = dynamics.robot.joint_names, Coverage.of_robot(dynamics.robot)
+    assert coverage.ranges[names[0]] == (-math.pi, math.pi)
+    (point,) = dynamics.contact_points
+    moving = [unknown_contact(point, "")._replace(verdict=Verdict.OK, effective_mass=2.0)]
+    for angle in np.linspace(-400.0, -400.0 + math.pi, 200).tolist():
+        coverage.add(JointState(1, names, np.array([angle, *[2.0] * 5]), np.zeros(6)), moving)
+    assert coverage.shares()[f"position {names[0]}"] == pytest.approx(0.5, abs=1.1 / POSITIONS)
+    assert len(coverage.poses) in (2, 3)
 
 
 def test_directions_are_bins_of_equal_area(dynamics: RobotDynamics) -> None:
