@@ -348,13 +348,14 @@ def _assumptions(dynamics: RobotDynamics, settings: MonitorSettings) -> Iterator
 def _joints(dynamics: RobotDynamics) -> list[dict[str, Any]]:
     """Return the joints for JSON; a bound that the robot file does not set is None."""
     robot, model = dynamics.robot, dynamics.robot.model
+    lower, upper = np.where(robot.periods > 0.0, np.inf, (model.lowerPositionLimit, model.upperPositionLimit))
     joints: list[dict[str, Any]] = json_types(
         [
             {
                 "name": name,
                 "type": "revolute" if robot.revolute[index] else "prismatic",
-                "lower": model.lowerPositionLimit[index],
-                "upper": model.upperPositionLimit[index],
+                "lower": lower[index],
+                "upper": upper[index],
                 "max_speed": model.velocityLimit[index],
                 "link_mass_kg": model.inertias[index + 1].mass,
             }

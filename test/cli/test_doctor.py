@@ -133,6 +133,11 @@ def test_robot_in_millimetres_grams_and_degrees_is_wrong(tmp_path: Path, capsys:
     assert [joint["upper"] for joint in result["joints"]] == [132.0, 148.0, 0.45, 360.0]
 
 
+def test_continuous_joint_has_no_bounds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    _, result = run_doctor(capsys, "--robot", str(arm(tmp_path / "arm.urdf", kind="continuous")))
+    assert [(joint["lower"], joint["upper"]) for joint in result["joints"]] == [(-1.0, 1.0), (None, None)]
+
+
 def _in_grams(row: re.Match[str]) -> str:
     mass, com = (1e3 * float(text) for text in row.groups()[1:])
     return f"- {{name: link{row[1]}, mass: {mass}, com: [{com}, 0.0, 0.0]}}"
