@@ -11,6 +11,7 @@ from scara_effmass.analysis.output import check_output_files
 from scara_effmass.cli.console import print_json, print_table, printer
 from scara_effmass.cli.options import load_dynamics, monitor_settings, override
 from scara_effmass.model.lumping import LumpedLink, lumped_links
+from scara_effmass.model.robot import Robot
 
 NAME, RESULT = "lumped_masses", "lump.json"
 
@@ -53,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
         return 0 if lumped else 1
     _print_links(links)
     if lumped:
-        _print_masses(result, comparisons)
+        _print_masses(robot, result, comparisons)
     else:
         printer().print(f"no lumped model: {dynamics.lumped_reason}")
     if args.output:
@@ -74,10 +75,10 @@ def _print_links(links: Sequence[LumpedLink]) -> None:
         print_table("Lumped parameters of the links (Table II of the paper)", headings, rows)
 
 
-def _print_masses(result: dict[str, Any], comparisons: Sequence[ModelComparison]) -> None:
+def _print_masses(robot: Robot, result: dict[str, Any], comparisons: Sequence[ModelComparison]) -> None:
     by_axis = ", ".join(f"{mass:.4g}" for mass in result["masses_by_axis_kg"])
     count, joints = len(result["masses"]), len(result["links"])
-    printer().print(f"masses by axis, base to tip: {by_axis} kg; the first does not move")
+    printer().print(f"masses by axis, base to tip: {by_axis} kg{'; the first does not move' * robot.revolute[0]}")
     printer().print(f"{count} masses remain for {joints} joints after adding up those at one place")
     if result["no_full_model"]:
         printer().print(f"no comparison: there is no full model: {result['no_full_model']}")

@@ -92,8 +92,8 @@ class LumpedMass(NamedTuple):
 class LumpedModel:
     """Lumped links of a robot and their Pinocchio model, whose mass matrix is Eq. 14.
 
-    `aggregated` are the n + 1 masses [kg] by axis, proximal first; the first does not move. `masses` are those left
-    after adding up what lies at one place: n + 1 as well where the heights on the axes agree or do not matter.
+    `aggregated` are the n + 1 masses [kg] by axis, proximal first; a revolute joint does not move the first. `masses`
+    are those left after adding up what lies at one place: n + 1 as well where the heights agree or do not matter.
     `massless_joints` are the joints (0-based) that move no lumped mass: `model` gives them an armature of 1 to keep its
     mass matrix regular. The mass along a direction in which such a joint does not move the contact point is unaffected.
     `is_regular` tells whether that matrix is positive definite at every pose by its form.

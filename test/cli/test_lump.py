@@ -38,6 +38,16 @@ def test_shipped_robot_has_the_masses_of_the_paper(cli: Cli, tmp_path: Path) -> 
     assert (tmp_path / "out/lumped_masses.svg").is_file()
 
 
+def test_first_masses_move_with_a_sliding_first_joint(cli: Cli, tmp_path: Path) -> None:
+    text = (ROBOTS / "scara_icube_tutorial.urdf").read_text(encoding="utf-8")
+    assert "; the first does not move" in cli("lump", ROBOTS / "scara_icube_tutorial.urdf").stdout
+    on_rail = tmp_path / "on_rail.urdf"
+    on_rail.write_text(text.replace('type="revolute"', 'type="prismatic"', 1), encoding="utf-8")
+    done = cli("lump", on_rail)
+    assert "masses by axis" in done.stdout
+    assert "does not move" not in done.stdout
+
+
 def test_link_without_two_masses_is_named_and_answered(cli: Cli) -> None:
     done = cli("lump", PANDA)
     assert done.returncode == 1
