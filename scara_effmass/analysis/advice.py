@@ -8,7 +8,7 @@ faster than the largest recorded acceleration of each joint allows: for the fact
 q'' = x q''_rec + x' q'_rec / 2.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -37,26 +37,30 @@ SLOWER = 0.8
 """Next factor of a state that is WARN for another reason than its speed."""
 MAX_SHARE = 3.0
 """Largest ratio of speed to allowable speed that an advice holds."""
-BY_VELOCITY = {Reason.VELOCITY_MISMATCH, Reason.UNCONFIRMED_ZERO}
-"""Reasons that lie in the reported velocities."""
-FROM_POSITIONS = "--velocity from-positions takes those of the positions"
+FROM_POSITIONS = "; --velocity from-positions takes those of the positions"
+FROM_REST = "; begin the recording while all joints rest"
+BY_VELOCITY = dict.fromkeys((Reason.VELOCITY_MISMATCH, Reason.UNCONFIRMED_ZERO), FROM_POSITIONS)
+"""Remedies for reasons that lie in the reported velocities."""
 IntArray = NDArray[np.intp]
 
 
 class Motion:
     """Joint states of one path in order: times (m,) [s] since the first one, positions and velocities (m, n)."""
 
-    def __init__(self, states: Sequence[JointState], origin: str, *, from_positions: bool = False) -> None:
+    def __init__(
+        self, states: Sequence[JointState], origin: str, turns: Mapping[str, float], *, from_positions: bool = False
+    ) -> None:
         """Take the `states` recorded in `origin`, with the velocities `from_positions` or the reported ones.
 
-        Raises BagError if they cannot be re-timed.
+        Positions are unwrapped by the period in `turns` of their joint, 0 for none. Raises BagError if they cannot be
+        re-timed.
         """
         names, kinds = states[0].names, ("position",) if from_positions else ("position", "velocity")
         if other := next((state.names for state in states if state.names != names), None):
             rule = "must have the same joints in the same order in all joint states"
             raise BagError(f"{origin}: {rule}, not {', '.join(names)} and {', '.join(other)}")
         if not all(len(getattr(state, kind)) == len(names) for state in states for kind in kinds):
-            raise BagError(f"{origin}: must have positions and velocities in all joint states; {FROM_POSITIONS}")
+            raise BagError(f"{origin}: must have positions and velocities in all joint states{FROM_POSITIONS}")
         stamps = [state.stamp_ns for state in states]
         values = [np.array([getattr(state, kind) for state in states]) for kind in kinds]
         if not np.isfinite(values).all():
@@ -67,8 +71,12 @@ class Motion:
             raise BagError(f"{origin}: {rule}: {len(repeated)} of {len(stamps)} are not later than the one before")
         self.time = np.array([stamp_ns - stamps[0] for stamp_ns in stamps]) / 1e9
         self.q = values[0]
+        for column, name in zip(self.q.T, names, strict=True):
+            if turn := turns.get(name):
+                column[:] = np.unwrap(column, period=turn)
         self.qd = np.gradient(self.q, self.time, axis=0) if from_positions else values[1]
-        self.states = [state._replace(velocity=qd) for state, qd in zip(states, self.qd, strict=True)]
+        rows = zip(states, self.q, self.qd, strict=True)
+        self.states = [state._replace(position=q, velocity=qd) for state, q, qd in rows]
 
     def segments(self, count: int | None, moves: BoolArray) -> IntArray:
         """Return the number of the segment of each state (m,).
@@ -224,7 +232,8 @@ def _allowed_factors(
 ) -> _Allowed:
     decisions = list(decisions)
     share = settings.warn_ratio if worst is Verdict.OK else 1.0
-    rows = [min(_allowed(contact, share, worst) for contact in decision.contacts) for decision in decisions]
+    remedies = {Reason.UNCONFIRMED_ZERO: FROM_REST} if settings.filters_velocity else BY_VELOCITY
+    rows = [min(_allowed(contact, share, worst, remedies) for contact in decision.contacts) for decision in decisions]
     factors = np.array([factor for factor, _ in rows])
     tolerance = METRES_PER_RADIAN * settings.position_tolerance  # of any joint: the smaller one
     for start, stop in true_runs(np.array([d.reason_code is Reason.UNCONFIRMED_ZERO for d in decisions])):
@@ -233,10 +242,11 @@ def _allowed_factors(
     return _Allowed(factors, [text for _, text in rows])
 
 
-def _allowed(contact: ContactAssessment, share: float, worst: Verdict) -> tuple[float, str]:
+def _allowed(
+    contact: ContactAssessment, share: float, worst: Verdict, remedies: Mapping[Reason, str]
+) -> tuple[float, str]:
     if contact.verdict is Verdict.UNKNOWN:
-        remedy = f"; {FROM_POSITIONS}" if contact.reason_code in BY_VELOCITY else ""
-        return -1.0, f"UNKNOWN: {contact.contact_point}: {contact.reason}{remedy}"
+        return -1.0, f"UNKNOWN: {contact.contact_point}: {contact.reason}{remedies.get(contact.reason_code, '')}"
     if contact.allowable_speed <= 0.0:
         return 0.0, f"no speed is allowed: {contact.contact_point}: {contact.reason}"
     factor = share * contact.allowable_speed / max(contact.speed, 1e-9)

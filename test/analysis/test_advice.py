@@ -3,6 +3,7 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from functools import cache, partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,12 +16,13 @@ from scara_effmass.errors import BagError
 from scara_effmass.model.load import load_robot
 from scara_effmass.reference import RobotDynamics
 from scara_effmass.safety import Monitor
-from scara_effmass.settings import MonitorSettings
+from scara_effmass.settings import ContactType, MonitorSettings, VelocitySource
 from scara_effmass.share import share
 from scara_effmass.sim.motion import sample_moves
 from scara_effmass.studies.shipped_bags import tour_moves
 from scara_effmass.values import Decision, FloatArray, JointState, Verdict
 
+KINOVA = Path(__file__).parents[1] / "robots" / "kinova.urdf"
 JOINTS = ("joint1", "joint2", "joint3", "joint4")
 SETTINGS = MonitorSettings(contact_points=("tool",), release_time=0.0)
 RATE_HZ = 50
@@ -43,7 +45,7 @@ def motion() -> Motion:
     """12 s of the tour from one rest to another, with six moves that are too fast."""
     q, qd = sample_moves(tour_moves(), RATE_HZ)
     rest, moves = [245] * 25, range(245, 871)
-    return Motion(joint_states(q[[*rest, *moves]], np.concatenate((0.0 * qd[rest], qd[moves]))), "tour")
+    return Motion(joint_states(q[[*rest, *moves]], np.concatenate((0.0 * qd[rest], qd[moves]))), "tour", {})
 
 
 class Judge:
@@ -96,7 +98,7 @@ def test_ok_motion_has_no_warn_for_another_reason_than_its_speed(dynamics: Robot
     rest, time = np.zeros((RATE_HZ // 2, 4)), np.arange(2 * RATE_HZ)[:, np.newaxis] / RATE_HZ
     q, qd = np.zeros((len(time), 4)), np.zeros((len(time), 4))
     q[:, 3:], qd[:, 3:] = 0.2 * (1.0 - np.cos(10.0 * time)), 2.0 * np.sin(10.0 * time)
-    motion = Motion(joint_states(np.concatenate((rest, q)), np.concatenate((rest, qd))), "turn")
+    motion = Motion(joint_states(np.concatenate((rest, q)), np.concatenate((rest, qd))), "turn", {})
     judge = Judge(dynamics, SETTINGS.model_copy(update={"body_regions": ("abdomen",)}))
     reasons = {contact.reason_code for decision in judge(motion.states) for contact in decision.contacts}
     assert {Reason.TURNS} == reasons - {Reason.NONE, Reason.UNCONFIRMED_ZERO}
@@ -134,7 +136,7 @@ def test_accelerations_stay_within_the_recorded_ones(levels: list[float], seed: 
     t = np.linspace(0.0, 4.0, 401)
     phases = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, 4)
     q, qd = np.sin(t[:, None] + phases), np.cos(t[:, None] + phases)
-    motion = Motion(joint_states(q, qd, 100), "sines")
+    motion = Motion(joint_states(q, qd, 100), "sines", {})
     factors = np.repeat(levels, -(-401 // len(levels)))[:401]
     states, path_time = motion.at_factors(factors)
     stamps = np.array([state.stamp_ns for state in states]) / 1e9
@@ -152,7 +154,7 @@ def test_unknown_motion_and_forbidden_speed_get_no_factor(dynamics: RobotDynamic
     states = [*motion.states]
     middle = int(np.abs(motion.qd).max(axis=1).argmax())
     states[middle] = states[middle]._replace(velocity=states[middle].velocity * 5.0)
-    advice = Judge(dynamics).advise(Motion(states, "lie"))
+    advice = Judge(dynamics).advise(Motion(states, "lie", {}))
     (missing,) = np.flatnonzero(np.isnan(advice.factors))
     assert advice.segment[middle] == missing
     assert advice.reasons[missing].startswith("UNKNOWN: tool: ")
@@ -171,7 +173,7 @@ def test_gap_longer_than_the_timeout_gets_no_factor_and_the_others_keep_theirs(
     fastest = int(np.abs(motion.qd).max(axis=1).argmax())
     pause_ns = pause_h * 3600 * 10**9
     later = (state._replace(stamp_ns=state.stamp_ns + pause_ns) for state in motion.states[fastest + 11 :])
-    gap = Motion([*motion.states[: fastest + 1], *later], "gap")
+    gap = Motion([*motion.states[: fastest + 1], *later], "gap", {})
     advice = Judge(dynamics).advise(gap)
     (missing,) = np.flatnonzero(np.isnan(advice.factors))
     start_s = gap.time[fastest]
@@ -187,14 +189,44 @@ def test_gap_longer_than_the_timeout_gets_no_factor_and_the_others_keep_theirs(
 
 def test_zeros_need_no_confirmation_only_while_the_positions_stand_still(dynamics: RobotDynamics) -> None:
     crawl = np.linspace(0.0, 0.02, 20)[:, None] * [1.0, 1.0, 0.1, 1.0] + [0.0, 1.2, 0.1, 0.0]
-    rest, moving = (Motion(joint_states(q, 0.0 * q, 200), "zeros") for q in (0.0 * crawl + crawl[0], crawl))
+    rest, moving = (Motion(joint_states(q, 0.0 * q, 200), "zeros", {}) for q in (0.0 * crawl + crawl[0], crawl))
     assert np.all(Judge(dynamics).advise(rest).factors == 1.0)
     advice = Judge(dynamics).advise(moving)
     assert np.isnan(advice.factors).all()
     assert all("--velocity from-positions" in reason for reason in advice.reasons)
-    true = Motion(moving.states, "zeros", from_positions=True)
+    true = Motion(moving.states, "zeros", {}, from_positions=True)
     np.testing.assert_allclose(true.qd[:, 0], 0.02 / 19 * 200)
     assert np.all(Judge(dynamics).advise(true).factors == 1.0)
+
+
+def test_joint_at_rest_in_a_motion_that_is_recorded_from_its_middle_has_a_remedy_that_is_not_in_use(
+    dynamics: RobotDynamics,
+) -> None:
+    crawl = np.linspace(0.0, 0.2, 40)[:, None] * [1.0, 0.0, 0.0, 0.0] + [0.0, 1.2, 0.1, 0.0]
+    motion = Motion(joint_states(crawl, 0.0 * crawl), "middle", {}, from_positions=True)
+    settings = SETTINGS.model_copy(update={"velocity_source": VelocitySource.FROM_POSITIONS})
+    (reason,) = advise(motion, Judge(dynamics)(motion.states), Judge(dynamics), 1, settings).reasons
+    assert reason.endswith(
+        "joint2 reads zero, not yet confirmed by its position; begin the recording while all joints rest"
+    )
+
+
+@pytest.mark.parametrize("from_positions", [False, True])
+def test_turning_joint_that_its_driver_wraps_is_advised_as_one_that_it_does_not(*, from_positions: bool) -> None:
+    settings = MonitorSettings(release_time=0.0, contact=ContactType.QUASI_STATIC)
+    robot = load_robot(KINOVA, settings)
+    names, turns = robot.joint_names, dict(zip(robot.joint_names, robot.periods.tolist(), strict=True))
+    judge, time = Judge(RobotDynamics(robot), settings), np.arange(26) / RATE_HZ
+    q, qd = [0.0, 2.5, 2.0, 0.5, 1.0, 0.5] + 0.3 * time[:, None], np.full((26, 6), 0.3)
+    angle, qd[:, 0] = 3.0 + 0.6 * time, 0.6
+    advices = []
+    for q[:, 0] in (angle, (angle + np.pi) % (2.0 * np.pi) - np.pi):
+        states = [state._replace(names=names) for state in joint_states(q.copy(), qd)]
+        advices.append(judge.advise(Motion(states, "turn", turns, from_positions=from_positions), 1))
+    smooth, wrapped = advices
+    assert 0.0 < smooth.factors[0] < 0.5  # states are added between the recorded ones
+    np.testing.assert_allclose(wrapped.factors, smooth.factors)
+    assert wrapped.reasons == smooth.reasons
 
 
 def test_factors_that_were_found_stay_where_others_take_too_many_steps(
@@ -222,7 +254,7 @@ def test_states_that_cannot_be_re_timed_are_refused(motion: Motion) -> None:
         (second._replace(stamp_ns=first.stamp_ns), "increasing header stamps", ": 1 of 2 are not later than the one"),
     ):
         with pytest.raises(BagError, match=rf"^run: must have {rule} in all joint states{hint}"):
-            Motion([first, bad], "run")
+            Motion([first, bad], "run", {})
 
 
 def test_labels_of_the_picture_are_in_it(motion: Motion, advised: Callable[[int | None], Advice]) -> None:
