@@ -138,6 +138,25 @@ def test_continuous_joint_has_no_bounds(tmp_path: Path, capsys: pytest.CaptureFi
     assert [(joint["lower"], joint["upper"]) for joint in result["joints"]] == [(-1.0, 1.0), (None, None)]
 
 
+def test_robot_that_the_kernel_is_not_for_is_checked_without_minutes_of_sampling(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    box = '<collision><geometry><box size="0.1 0.1 0.1"/></geometry></collision></link>'
+    links = "".join(LINK.format(name=f"l{i}", x=0.1, mass=1.5, i=0.01).replace("</link>", box) for i in range(17))
+    joints = "".join(
+        f'<joint name="j{i}" type="revolute"><parent link="{f"l{i - 1}" if i else "base"}"/><child link="l{i}"/>'
+        f'<origin xyz="0.1 0 0"/><axis xyz="0 {i % 2} {1 - i % 2}"/>'
+        '<limit lower="-1" upper="1" velocity="2" effort="9"/></joint>'
+        for i in range(17)
+    )
+    (tmp_path / "snake.urdf").write_text(f'<robot name="snake"><link name="base"/>{links}{joints}</robot>', "utf-8")
+    monkeypatch.setattr("scara_effmass.safety.Monitor.assess_configurations", pytest.fail)
+    code, result = run_doctor(capsys, "--robot", str(tmp_path / "snake.urdf"), "--contact-point", "whole_arm")
+    assert (code, result["healthy"]) == (0, True)
+    rule = "not sampled: the compiled kernel is for at most 16 joints, the robot has 17; the reference is hundreds"
+    assert texts(result, "note")["tightest contact"].startswith(rule)
+
+
 def _in_grams(row: re.Match[str]) -> str:
     mass, com = (1e3 * float(text) for text in row.groups()[1:])
     return f"- {{name: link{row[1]}, mass: {mass}, com: [{com}, 0.0, 0.0]}}"
