@@ -13,7 +13,7 @@ from scara_effmass.bags.files import open_bag
 from scara_effmass.bags.writer import BagWriter
 from scara_effmass.errors import BagError, SettingsError
 from scara_effmass.impacts.detector import finite_parts
-from scara_effmass.importers.force_file import NEWTON_PER_UNIT, VOLT_PER_UNIT, ForceFile
+from scara_effmass.importers.force_file import NEWTON_PER_UNIT, VOLT_PER_UNIT, ForceFile, refuse_settings
 from scara_effmass.importers.wrench_topic import read_wrench_topic
 from scara_effmass.settings import ImportSettings
 from scara_effmass.values import RANGE_TOLERANCE, ForceBlock
@@ -23,6 +23,8 @@ from scara_effmass.wire.message_types import FORCE_BLOCK
 
 MAX_VALUE = 1e9
 """[N] or [V]; no sensor measures more."""
+OF_VOLTAGES = ("sensor.sensitivity", "sensor.sensitivity_uncertainty")
+"""Settings without effect on values in a unit of force."""
 
 
 @dataclass(slots=True)
@@ -113,6 +115,8 @@ def _force_blocks(
     if is_voltage and "sensitivity" not in sensor.model_fields_set:
         rule = f"must be stated for values in {file.unit}: --sensitivity MV_PER_N, from the sensor's certificate"
         raise SettingsError(f"{path}: sensor.sensitivity: {rule}")
+    if not is_voltage:
+        refuse_settings(settings, OF_VOLTAGES, str(path), f"the values are in {file.unit}")
     saturation = sensor.range * (1.0 - RANGE_TOLERANCE)
     begin = end = total = 0
     for block in file.blocks:

@@ -219,6 +219,11 @@ def test_samples_at_the_end_of_the_range_are_marked(tmp_path: Path) -> None:
         ("t,f (N)\n1,1\n1,2\n", {}, r"f \(N\): its times do not advance"),
         ("t,f (N)\n0,nan\n1,nan\n", {}, r"f \(N\): has no finite sample"),
         ("t,f (V)\n0,1\n1,2\n", {}, "sensor.sensitivity: must be stated for values in V: --sensitivity MV_PER_N"),
+        (
+            "t,f (kN)\n0,1\n1,2\n",
+            {"sensor.sensitivity": 2.31},
+            "sensor.sensitivity = 2.31: must not be stated, the values are in kN",
+        ),
         ("t,f\n0,1\n", {}, "f: states no unit; state --unit, one of N, kN, daN, lbf, kgf, V, mV"),
         ("t,f (oz)\n0,1\n", {}, r"f \(oz\): has the unit 'oz'; convert it, or state --unit, one of N, kN, daN, lbf"),
         ("t,f_lbf\n0,1\n", {"unit": "N"}, "f_lbf: unit = N: must be empty, the file states lbf"),

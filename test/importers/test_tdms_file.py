@@ -43,12 +43,19 @@ def test_channel_keeps_its_waveform_times(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("stated", "unit", "newtons"),
-    [("Volts", "", 1e3 / 2.31), ("mV", "mV", 1.0 / 2.31), ("", "kN", 1e3), ("Kilonewtons", "", 1e3)],
+    ("stated", "settings", "newtons"),
+    [
+        ("Volts", {"sensor.sensitivity": 2.31}, 1e3 / 2.31),
+        ("mV", {"unit": "mV", "sensor.sensitivity": 2.31}, 1.0 / 2.31),
+        ("", {"unit": "kN"}, 1e3),
+        ("Kilonewtons", {}, 1e3),
+    ],
 )
-def test_unit_is_that_of_the_channel_or_the_setting(tmp_path: Path, stated: str, unit: str, newtons: float) -> None:
+def test_unit_is_that_of_the_channel_or_the_setting(
+    tmp_path: Path, stated: str, settings: dict[str, Any], newtons: float
+) -> None:
     path = write(tmp_path / "run.tdms", {"g/c": (FORCE, TIMING | {"unit_string": stated})})
-    force = force_of(imported(path, unit=unit, **{"sensor.sensitivity": 2.31}))
+    force = force_of(imported(path, **settings))
     assert force == pytest.approx((FORCE * newtons).tolist())
 
 
