@@ -105,19 +105,13 @@ def build_robot(stated: RobotDescription, settings: MonitorSettings) -> Robot:
     else:  # a link without mass has one as soon as it carries a load
         check = _with_massless(check_inertials(links), model)
     masses_reason = check.masses
-    source = f"topic {settings.payload_topic}" if settings.payload_topic else "parameter payload_mass"
-    payload = {
-        "robot file": stated.payload_mass,
-        f"tool_links {', '.join(settings.tool_links)}": tool_mass,
-        source: settings.payload_mass,
-    }
     robot = Robot(
         origin=origin,
         base_frame=stated.base_frame,
         model=model,
         contact_frames=contact_frames,
         tip=stated.tip,
-        payload={name: mass for name, mass in payload.items() if mass or name.startswith("topic ")},
+        payload=_payload(stated.payload_mass, tool_mass, settings),
         rebuild=partial(build_robot, stated),
         rotors=rotors,
         lumping=settings.lumping,
@@ -139,6 +133,16 @@ def build_robot(stated: RobotDescription, settings: MonitorSettings) -> Robot:
     coms = robot.coms_reason or judged.masses
     inertias = robot.inertias_reason or judged.masses or judged.inertias
     return replace(robot, masses_reason=masses, coms_reason=coms, inertias_reason=inertias)
+
+
+def _payload(stated_mass: float, tool_mass: float, settings: MonitorSettings) -> dict[str, float]:
+    """Return the masses of the load [kg] by source, without those of 0, except a topic's and a stated one alone."""
+    topic = settings.payload_topic
+    sources = {"robot file": stated_mass, f"tool_links {', '.join(settings.tool_links)}": tool_mass}
+    payload = {source: mass for source, mass in sources.items() if mass}
+    if topic or settings.payload_mass or (not payload and "payload_mass" in settings.model_fields_set):
+        payload[f"topic {topic}" if topic else "parameter payload_mass"] = settings.payload_mass
+    return payload
 
 
 def _replace_masses(model: pin.Model, mass: float) -> None:
