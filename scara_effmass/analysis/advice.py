@@ -52,8 +52,7 @@ class Motion:
     ) -> None:
         """Take the `states` recorded in `origin`, with the velocities `from_positions` or the reported ones.
 
-        Positions are unwrapped by the period in `turns` of their joint, 0 for none. Raises BagError if they cannot be
-        re-timed.
+        Positions are unwrapped by the period of their joint in `turns`. Raises BagError if they cannot be re-timed.
         """
         names, kinds = states[0].names, ("position",) if from_positions else ("position", "velocity")
         if other := next((state.names for state in states if state.names != names), None):

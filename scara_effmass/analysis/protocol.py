@@ -381,6 +381,19 @@ class Candidate(NamedTuple):
         return self.contact.contact_point == other.contact.contact_point and max(distances) < MIN_POSE_DISTANCE
 
 
+def nearest_turn(
+    pose: Mapping[str, float], turns: Mapping[str, float], stated: Mapping[str, float] | None = None
+) -> dict[str, float]:
+    """Return a `pose` by joint [rad, m], those of the joints in `turns` by whole turns next to `stated`, else to 0."""
+    near = {joint: (stated or {}).get(joint, 0.0) for joint in pose}
+    return {
+        joint: near[joint] + math.remainder(position - near[joint], turns[joint])
+        if joint in turns and math.isfinite(position)
+        else position
+        for joint, position in pose.items()
+    }
+
+
 class Plan:
     """Keeps the worst `count` contacts of each body region of `settings`, in different poses."""
 

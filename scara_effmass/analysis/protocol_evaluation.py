@@ -7,7 +7,7 @@ The verdict on a test point is OK only if nothing is missing and nothing is doub
 import math
 import os
 from base64 import b64encode
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime, timezone
 from functools import partial
@@ -42,6 +42,7 @@ from scara_effmass.analysis.protocol import (
     Repetition,
     TestPoint,
     missing,
+    nearest_turn,
 )
 from scara_effmass.analysis.report import PAGE, PageOptions, file_hashes, render, write_report_files
 from scara_effmass.analysis.summary import worst
@@ -94,11 +95,13 @@ def filled(
     folder: Path,
     time: Time = Time.LIVE,
     names_of: Callable[[tuple[str, ...]], tuple[str, ...]] = tuple,
+    turns: Mapping[str, float] | None = None,
 ) -> ContactTest:
     """Return `test` with the contacts of `validation`, and all other force in it; paths are relative to `folder`.
 
     A press is a contact if the test is one of clamping. `settings` and `time` are those of the validation, `names_of`
-    gives the robot's names of reported joints. Raises BagError if there is no contact.
+    gives the robot's names of reported joints, `turns` [rad] are those of its continuous joints. Raises BagError if
+    there is no contact.
     """
     contacts: list[Repetition] = []
     problems = filter(None, (validation.result.clock, validation.result.force_sign))
@@ -115,7 +118,8 @@ def filled(
         found.sort(key=attrgetter("stamp_ns"))
         poses = _poses(recording, [contact.stamp_ns for contact in found], time, names_of)
         for item, pose in zip(_repetitions(recording, found, settings), poses, strict=True):
-            contacts.append(item.model_copy(update={**raw, "pose": pose or None}))
+            near = nearest_turn(pose, turns or {}, test.motion.pose)
+            contacts.append(item.model_copy(update={**raw, "pose": near or None}))
         rest = [item.model_copy(update=raw) for item in _left_out(recording, others)]
         left_out += rest if found or rest else [LeftOutForce(**raw, reason="no contact", count=1, complete=True)]
     if not contacts:

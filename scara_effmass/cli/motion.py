@@ -106,7 +106,7 @@ def _recorded_motion(
     states = [item.state for item in items if item.state]
     if len(states) < max(len(items), 2):
         raise BagError(f"{args.bag}: {topic}: must hold two joint states or more, all of them decodable")
-    turns = dict(zip(dynamics.robot.joint_names, dynamics.robot.periods.tolist(), strict=True))
+    turns = dynamics.robot.turns
     if settings.velocity_source is VelocitySource.REPORTED:
         return Motion(states, f"{args.bag}: {topic}", turns), [item.decision for item in items], losses
     motion = Motion(states, f"{args.bag}: {topic}", turns, from_positions=True)

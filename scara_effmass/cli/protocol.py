@@ -11,7 +11,7 @@ from typing import Any
 
 from scara_effmass.analysis.assessment import assessed_rows, joint_state_topic
 from scara_effmass.analysis.output import atomic_file, check_output_files, check_output_path
-from scara_effmass.analysis.protocol import Plan, Protocol, Repetition, protocol_yaml, read_protocol
+from scara_effmass.analysis.protocol import Plan, Protocol, Repetition, nearest_turn, protocol_yaml, read_protocol
 from scara_effmass.analysis.protocol_evaluation import (
     MAX_CONTACT_S,
     MISSING,
@@ -90,6 +90,7 @@ def _add_recording(plan: Plan, args: argparse.Namespace, settings: MonitorSettin
         for _, state, decision in assessed_rows(bag, topic, monitor, advance=advance):
             if state is not None:
                 pose = dict(zip(monitor.names_of(state.names), state.position.tolist(), strict=False))
+                pose = nearest_turn(pose, dynamics.robot.turns)
                 for contact in decision.contacts:
                     plan.add(contact, pose)
 
@@ -184,6 +185,6 @@ def _filled(args: argparse.Namespace, protocol: Protocol) -> tuple[Protocol, lis
         settings = replace(settings, validator=validator)
     validation = validated(args, settings)
     names_of = Monitor(dynamics, settings.monitor).names_of
-    test = filled(test, validation, settings.force, args.protocol.parent, settings.time, names_of)
+    test = filled(test, validation, settings.force, args.protocol.parent, settings.time, names_of, dynamics.robot.turns)
     losses = [loss for recording in validation.recordings for loss in recording.losses]
     return protocol.replaced(test), losses

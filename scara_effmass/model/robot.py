@@ -93,6 +93,11 @@ class Robot:
         return np.where(np.asarray(self.model.upperPositionLimit) >= CONTINUOUS_LIMIT, 2.0 * math.pi, 0.0)
 
     @property
+    def turns(self) -> dict[str, float]:
+        """Period [rad] of the position of each continuous joint by name."""
+        return {name: turn for name, turn in zip(self.joint_names, self.periods.tolist(), strict=True) if turn}
+
+    @property
     def effort_limits(self) -> FloatArray:
         """Effort limits (n,) of the joints [N m, N]; infinite where the description states none."""
         effort = np.asarray(self.model.effortLimit, dtype=np.float64)

@@ -21,10 +21,12 @@ from scara_effmass.analysis.forces import detected_impacts
 from scara_effmass.analysis.protocol import (
     ContactTest,
     Evaluation,
+    Motion,
     Plan,
     Protocol,
     Repetition,
     missing,
+    nearest_turn,
     protocol_yaml,
     read_protocol,
 )
@@ -738,6 +740,34 @@ def test_contacts_are_those_of_the_validation(
         assert item.direction == pytest.approx(impact.direction, abs=1e-5)
         assert item.pose
         assert {"joint1", "joint2", "joint3", "joint4"} <= item.pose.keys()
+
+
+def test_a_continuous_joint_is_in_the_same_pose_some_turns_later(
+    campaign: list[Path], dynamics: RobotDynamics, device_settings: ValidationSettings
+) -> None:
+    validation = validate(campaign[:1], dynamics, device_settings)
+    (item,) = entered(validation)
+    assert item.pose
+    later = {joint: position + 112.0 * math.pi for joint, position in item.pose.items()}
+    protocol = Protocol.model_validate(content())
+    test = protocol.tests[0].model_copy(update={"motion": Motion(pose=later)})
+    turns = {"joint1": 2.0 * math.pi}
+    found = filled(test, validation, ImportSettings(), Path(), turns=turns)
+    (again,) = found.results.repetitions
+    assert again.pose == pytest.approx({**item.pose, "joint1": later["joint1"]})
+    (reason,) = [text for text in evaluate(protocol, found, Path()).reasons if text.startswith("another pose")]
+    assert "joint1" not in reason
+    assert "joint2" in reason
+
+
+@given(st.floats(-1e3, 1e3), st.floats(-10.0, 10.0))
+def test_nearest_turn_is_the_same_angle_within_half_a_turn(position: float, stated: float) -> None:
+    (near,) = nearest_turn({"a": position}, {"a": math.tau}, {"a": stated}).values()
+    assert abs(near - stated) <= math.pi + 1e-9
+    assert math.remainder(near - position, math.tau) == pytest.approx(0.0, abs=1e-9)
+    for other in (math.nan, math.inf, position):
+        assert str(nearest_turn({"b": other}, {"a": math.tau})["b"]) == str(other)
+    assert math.isnan(nearest_turn({"a": math.nan}, {"a": math.tau})["a"])
 
 
 def test_a_stated_setting_is_entered_whatever_its_value(
