@@ -180,8 +180,11 @@ def _hulls(
     """Return the hulls of the links that `whole_arm` watches, what it does not watch, and notes.
 
     Append the links that it watches to `placed`. The hull of a link that is a contact point, too, holds that point.
-    Raises RobotError for geometry that cannot be read, unless it is not asked for.
+    Raises RobotError for geometry that cannot be read, unless it is not asked for, and for a missing folder in
+    `package_dirs`.
     """
+    if missing := next((folder for folder in settings.package_dirs if not Path(folder).is_dir()), None):
+        raise RobotError(f"package_dirs = {missing}: must be a folder")
     if WHOLE_ARM not in (settings.contact_points or (WHOLE_ARM,)) or settings.contact_normal != "worst":
         return {}, (), []
     path = Path(tree.origin)

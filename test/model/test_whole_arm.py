@@ -197,6 +197,12 @@ def test_a_known_normal_cannot_be_set_while_links_are_watched_as_a_whole(arm: Pa
     assert monitor.settings == settings
 
 
+def test_folder_of_packages_that_is_none_is_refused(arm: Path, tmp_path: Path) -> None:
+    for missing in (tmp_path / "missing", arm):
+        with pytest.raises(RobotError, match=re.escape(f"package_dirs = {missing}: must be a folder")):
+            load_robot(arm, MonitorSettings(package_dirs=(str(tmp_path), str(missing))))
+
+
 def test_without_a_mesh_only_the_tip_is_watched_which_is_an_assumption(arm: Path) -> None:
     text = arm.read_text(encoding="utf-8").replace('<box size="0.3 0.1 0.1"/>', '<mesh filename="package://p/a.stl"/>')
     arm.write_text(text, encoding="utf-8")
