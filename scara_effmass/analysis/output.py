@@ -63,6 +63,7 @@ def atomic_file(path: Path, *, overwrite: bool, mark: bytes = b"") -> Iterator[P
                 path.upload(unfinished)
         return
     unfinished = path.with_name(f".{path.stem}-{os.getpid()}{path.suffix}")
+    is_new = not path.parent.exists()
     try:
         with writing(path):
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -73,6 +74,9 @@ def atomic_file(path: Path, *, overwrite: bool, mark: bytes = b"") -> Iterator[P
     finally:
         with suppress(OSError):
             unfinished.unlink()
+        if is_new:
+            with suppress(OSError):  # it is not empty
+                path.parent.rmdir()
 
 
 def json_types(value: Any, without: str = "") -> Any:  # noqa: ANN401 - any part of a result

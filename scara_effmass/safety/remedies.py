@@ -69,7 +69,7 @@ REMEDIES = {
         "let one node alone publish the payload on `payload_topic`, one that a robot can carry: mass, centre of mass "
         "and inertia; or leave the topic empty"
     ),
-    Reason.GAP: CONNECTION,
+    Reason.GAP: f"{CONNECTION}; if a clock was set ahead, wait",
     Reason.SILENCE: CONNECTION,
     Reason.NO_JOINT_STATE: CONNECTION,
     Reason.ONLY_OTHER_JOINTS: NAMES,

@@ -23,7 +23,7 @@ def test_complete_file_and_its_folders_are_created(tmp_path: Path) -> None:
 @pytest.mark.parametrize("error", [ValueError("odd"), KeyboardInterrupt(), SystemExit(143)])
 def test_unfinished_file_is_removed(error: BaseException, tmp_path: Path) -> None:
     def write() -> None:
-        with atomic_file(tmp_path / "c.txt", overwrite=False) as unfinished:
+        with atomic_file(tmp_path / "new" / "c.txt", overwrite=False) as unfinished:
             unfinished.write_text("half")
             raise error
 
