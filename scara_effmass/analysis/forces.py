@@ -17,7 +17,7 @@ from scara_effmass.bags.batches import LossLog, Topic
 from scara_effmass.bags.files import open_bag
 from scara_effmass.errors import BagError
 from scara_effmass.impacts.detector import Detector
-from scara_effmass.impacts.load import AC_COUPLED, LARGER_HELD, MAX_HELD_S, NO_SIGNAL, TENSION, left_out_text
+from scara_effmass.impacts.load import AC_COUPLED, MAX_HELD_S, NO_SIGNAL, READS_LOW, TENSION, left_out_text, reads_low
 from scara_effmass.importers.force import IMPORTERS, import_force, import_wrenches
 from scara_effmass.importers.force_file import TABLE_SETTINGS, refuse_settings
 from scara_effmass.iso15066 import TRANSIENT_S
@@ -532,8 +532,8 @@ def _doubts(recorded: RecordedContacts, settings: ImportSettings, *, is_settled:
         yield NO_BLOCKS
     elif not is_settled:
         yield "no steady baseline at the end: contacts there are not known"
-    if AC_COUPLED in recorded.source and any(contact.held_force for contact in recorded.contacts):
-        yield LARGER_HELD
+    if any(map(reads_low, recorded.contacts)):
+        yield READS_LOW
     largest = max((contact.peak_force for contact in recorded.contacts), default=0.0)
     tension = max((item.peak_force for item in recorded.left_out if item.reason == TENSION), default=0.0)
     if settings.axis != "norm" and tension > largest:  # a norm has no sign

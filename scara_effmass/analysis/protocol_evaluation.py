@@ -52,7 +52,7 @@ from scara_effmass.bags.files import open_bag
 from scara_effmass.errors import BagError, EffmassError, SettingsError
 from scara_effmass.impacts.agreement import region_force
 from scara_effmass.impacts.impact_matcher import CLIPPED, INCOMPLETE, PRESS
-from scara_effmass.impacts.load import LATER_LOAD, NO_BASELINE, SLOW_CHANGE
+from scara_effmass.impacts.load import LATER_LOAD, NO_BASELINE, SLOW_CHANGE, SLOW_RISE_S
 from scara_effmass.impacts.segment import STUCK
 from scara_effmass.input_files import digest
 from scara_effmass.iso15066 import TABLE_HASH, TRANSIENT_S, Limit, limits_for
@@ -538,8 +538,11 @@ def _raw_reasons(
             yield f"raw data is incomplete, lost, saturated or NaN after the onset: {contact}"
         if not trace.has_ended:
             yield f"the force had not ended, record until the release, within {MAX_CONTACT_S:g} s: {contact}"
-        if trace.ac_coupled and late.max(initial=0.0) > LOW_SHARE * peak_n:
-            yield f"AC coupling removes a force that stays, measure with DC coupling: {contact}"
+        rise_s = max(0.0, float(trace.time[np.argmax(total)]))
+        mean_n = float(np.mean(total, where=(trace.time >= 0.0) & (trace.time <= rise_s))) if rise_s else 0.0
+        rises_slowly = rise_s * mean_n > SLOW_RISE_S * total.max()
+        if trace.ac_coupled and (rises_slowly or late.max(initial=0.0) > LOW_SHARE * peak_n):
+            yield f"AC coupling removes a force that stays or rises slowly, measure with DC coupling: {contact}"
         for force, entered_n in ((early, peak_n), (late, max(held_n, LOW_SHARE * peak_n))):
             if force.max(initial=0.0) > entered_n * (1.0 + max(tolerance, ROUNDING)):
                 text = f"contact {number}, {at_least(force.max(), 1)} N in {name}"

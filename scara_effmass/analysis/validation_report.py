@@ -38,7 +38,7 @@ from scara_effmass.analysis.report import (
 from scara_effmass.analysis.validation import Validation, ValidationSettings
 from scara_effmass.impacts.agreement import RegionForce, region_force
 from scara_effmass.impacts.impact_matcher import REBOUND
-from scara_effmass.impacts.load import LARGER_HELD, left_out_text
+from scara_effmass.impacts.load import READS_LOW, left_out_text
 from scara_effmass.impacts.validator import ModelResult, Result
 from scara_effmass.input_files import read_table
 from scara_effmass.iso15066 import Limit, force_per_root_stiffness, limits_for
@@ -102,7 +102,9 @@ def summary_lines(validation: Validation) -> Iterator[tuple[str, str]]:
     yield "result", result.verdict
     yield "limit", limit_text(result)
     if held := held_text(result):
-        yield "held", f"{held}; {LARGER_HELD}" if result.ac_coupled else held
+        yield "held", held
+    if result.ac_coupled:
+        yield "coupling", READS_LOW
     yield "impacts", impacts_text(result)
     for recording in validation.recordings:
         if recording.force_clock:
@@ -256,6 +258,7 @@ def _page(
         robot=robot,
         figures=figures,
         verdict=_verdict(result),
+        reads_low=READS_LOW,
         running=robot.name,
         simulated=result.simulated or any(recording.simulated for recording in validation.recordings),
         period=(stamps[0], stamps[-1]) if stamps else None,

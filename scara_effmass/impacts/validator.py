@@ -33,7 +33,7 @@ from scara_effmass.impacts.impact_matcher import (
     ImpactMatcher,
     MatchedImpact,
 )
-from scara_effmass.impacts.load import AC_COUPLED, LOADS, NO_SIGNAL
+from scara_effmass.impacts.load import LOADS, NO_SIGNAL, reads_low
 from scara_effmass.impacts.segment import STUCK
 from scara_effmass.impacts.state_history import MODELS, ClockOffset, Rejection, clock_offset
 from scara_effmass.iso15066 import limits_for
@@ -100,7 +100,7 @@ class Result(NamedTuple):
     the force; empty: none. `clock_offset` is that of the impacts in the series. `gain_tolerance` is that of the sensor.
     `held` are the contacts whose force stayed, in the series or left out. What stayed is compared with the quasi-static
     limits, as measured, and the first 0.5 s of a press, which is no impact, with the limits for impacts, as measured.
-    `ac_coupled`: the converter removed a part of some of them.
+    `ac_coupled`: the converter removed a part of some contacts.
     `left_out` are the contacts left out of the series and the force in no impact; their peaks are converted with the
     most unfavourable impact of the series, without a series as measured. Rebounds no larger than their impact count
     with it. `exceedances` counts the impacts with a force above a limit, and those of `left_out`. `unmeasured` counts
@@ -180,7 +180,7 @@ class Validator:
         self._earlier = 0  # of them, those of earlier recordings
         self._min_force = self._max_force = self._stated_uncertainty = 0.0
         self._past_problems = "", ""
-        self._ac_coupled = False  # a force that stayed
+        self._ac_coupled = False
 
     def know(self, contact_points: Iterable[str]) -> None:
         """Name contact points whose states may not be added."""
@@ -217,7 +217,7 @@ class Validator:
     def add_impact(self, impact: Impact, received_ns: int) -> list[ValidatedImpact]:
         """Add an impact that arrived at `received_ns` (0: unknown); return newly validated impacts."""
         self._matcher.add_impact(impact, received_ns)
-        self._ac_coupled |= impact.held_force > 0.0 and AC_COUPLED in impact.source
+        self._ac_coupled |= reads_low(impact)
         return self._validate()
 
     def pass_time(self, now_ns: int) -> list[ValidatedImpact]:

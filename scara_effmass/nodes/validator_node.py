@@ -19,7 +19,7 @@ from scara_effmass.impacts.agreement import RegionForce, comparison_text
 from scara_effmass.impacts.criterion import impact_count
 from scara_effmass.impacts.detector import Detector
 from scara_effmass.impacts.impact_matcher import DUPLICATE, REBOUND
-from scara_effmass.impacts.load import LARGER_HELD, LeftOuts
+from scara_effmass.impacts.load import READS_LOW, LeftOuts
 from scara_effmass.impacts.validator import Validator
 from scara_effmass.nodes import parameters
 from scara_effmass.nodes.diagnostics import Diagnostics, no_publisher, several_publishers, status
@@ -235,7 +235,7 @@ def series_status(
             f"{result.unmeasured} contacts clipped, incomplete, stuck or without signal: their force is not known"
         )
     if result.ac_coupled:
-        problems.append(LARGER_HELD)
+        problems.append(READS_LOW)
     problems += [result.clock, result.force_sign, unheard]
     if unpaired := sum(result.unpaired.values()):
         problems.append(f"{impact_count(unpaired)} could not be paired: {', '.join(result.unpaired)}")

@@ -211,7 +211,7 @@ def test_held_forces_are_larger_than_measured_with_ac_coupling(
 ) -> None:
     held = ComparedForces(1, 0, RegionForce("chest", 100.0, 140.0, ""))
     changed = validation._replace(result=validation.result._replace(held=held, ac_coupled=True))
-    assert "held forces are larger than measured" in dict(summary_lines(changed))["held"]
+    assert "held forces are larger than measured" in dict(summary_lines(changed))["coupling"]
     texts = texts_of(written(changed, dynamics, tmp_path / "report"))
     assert any("held forces are larger than measured" in text for text in texts)
 

@@ -6,10 +6,11 @@ from __future__ import annotations
 from collections import Counter
 from typing import Any
 
+import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from scara_effmass.cell.status import left_out_entry
-from scara_effmass.impacts.load import LARGER_HELD
+from scara_effmass.impacts.load import READS_LOW
 from scara_effmass.impacts.validator import Validator
 from scara_effmass.nodes.validator_node import series_status
 from scara_effmass.settings import ValidatorSettings
@@ -71,13 +72,14 @@ def test_no_problem_hides_another_and_the_most_serious_one_comes_first() -> None
     assert {pair.key: pair.value for pair in found.values}["undecodable: Impact"] == "5000"
 
 
-def test_held_force_of_which_ac_coupling_removes_a_part_is_not_ok() -> None:
+@pytest.mark.parametrize("lasting", [{"held_force": 50.0}, {"compression_impulse": 0.06 * IMPACT.peak_force}])
+def test_force_of_which_ac_coupling_removes_a_part_is_not_ok(lasting: dict[str, Any]) -> None:
     validator = Validator(ValidatorSettings(contact_point="tool"))
     impact = IMPACT._replace(rebound=1, source="NI 9230, AC coupling")
     validator.add_impact(impact, NOW)
     assert series(validator, "tool").level == DiagnosticStatus.OK
-    validator.add_impact(impact._replace(stamp_ns=NOW + 1, held_force=50.0), NOW)
-    assert series(validator, "tool").message == LARGER_HELD
+    validator.add_impact(impact._replace(stamp_ns=NOW + 1, **lasting), NOW)
+    assert series(validator, "tool").message == READS_LOW
     other = Validator(validator.settings)
     other.extend(validator)
     assert other.result().ac_coupled
