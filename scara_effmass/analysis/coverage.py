@@ -59,14 +59,12 @@ class Coverage(BaseModel):
     def of_robot(cls, robot: Robot) -> Coverage:
         """Return an empty coverage."""
         limits = zip(robot.model.lowerPositionLimit.tolist(), robot.model.upperPositionLimit.tolist(), strict=True)
-        names, turns = robot.joint_names, robot.periods.tolist()
-        ranges = [(-turn / 2.0, turn / 2.0) if turn else ends for ends, turn in zip(limits, turns, strict=True)]
-        continuous = {name for name, turn in zip(names, turns, strict=True) if turn}
-        counts = {f"position {name}": [0] * POSITIONS for name in names}
+        ranges = dict(zip(robot.joint_names, limits, strict=True))
+        ranges |= {name: (-turn / 2.0, turn / 2.0) for name, turn in robot.turns.items()}
+        counts = {f"position {name}": [0] * POSITIONS for name in ranges}
         for point in robot.contact_frames:
             counts |= {f"direction {point}": [0] * (AZIMUTHS * ELEVATIONS), f"speed {point}": [0] * len(SPEEDS)}
-        ranges_by_name = dict(zip(names, ranges, strict=True))
-        return cls(robot=robot.name, ranges=ranges_by_name, continuous=continuous, counts=counts)
+        return cls(robot=robot.name, ranges=ranges, continuous=set(robot.turns), counts=counts)
 
     def begin(self, recording: str) -> None:
         """Start a recording. Raises SettingsError if it has been counted already."""

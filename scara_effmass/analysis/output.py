@@ -73,10 +73,9 @@ def atomic_file(path: Path, *, overwrite: bool, mark: bytes = b"") -> Iterator[P
             unfinished.replace(path)
     finally:
         with suppress(OSError):
-            unfinished.unlink()
-        if is_new:
-            with suppress(OSError):  # it is not empty
-                path.parent.rmdir()
+            unfinished.unlink(missing_ok=True)
+            if is_new:
+                path.parent.rmdir()  # unless it holds the file
 
 
 def json_types(value: Any, without: str = "") -> Any:  # noqa: ANN401 - any part of a result

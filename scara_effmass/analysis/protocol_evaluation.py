@@ -538,15 +538,19 @@ def _raw_reasons(
             yield f"raw data is incomplete, lost, saturated or NaN after the onset: {contact}"
         if not trace.has_ended:
             yield f"the force had not ended, record until the release, within {MAX_CONTACT_S:g} s: {contact}"
-        rise_s = max(0.0, float(trace.time[np.argmax(total)]))
-        mean_n = float(np.mean(total, where=(trace.time >= 0.0) & (trace.time <= rise_s))) if rise_s else 0.0
-        rises_slowly = rise_s * mean_n > SLOW_RISE_S * total.max()
-        if trace.ac_coupled and (rises_slowly or late.max(initial=0.0) > LOW_SHARE * peak_n):
+        if trace.ac_coupled and (late.max(initial=0.0) > LOW_SHARE * peak_n or _rises_slowly(trace.time, total)):
             yield f"AC coupling removes a force that stays or rises slowly, measure with DC coupling: {contact}"
         for force, entered_n in ((early, peak_n), (late, max(held_n, LOW_SHARE * peak_n))):
             if force.max(initial=0.0) > entered_n * (1.0 + max(tolerance, ROUNDING)):
                 text = f"contact {number}, {at_least(force.max(), 1)} N in {name}"
                 yield f"raw data shows more force than was entered: {text}"
+
+
+def _rises_slowly(time: FloatArray, force: FloatArray) -> bool:
+    """Return whether AC coupling lowers the peak of `force` (n,) [N] from `time` (n,) 0 [s] on, see SLOW_RISE_S."""
+    rise_s = float(time[np.argmax(force)])
+    rising = force[(time >= 0.0) & (time <= rise_s)]
+    return rising.size > 0 and rise_s * float(rising.mean()) > SLOW_RISE_S * float(force.max())
 
 
 def _other_force(trace: ForceTrace, total: FloatArray, low_n: float) -> str:
